@@ -186,8 +186,25 @@ def control() -> str:
 
 
 @table
-def unseen() -> str:
-    return stored("unseen_recordings", "nmse")
+def earning_a_name() -> str:
+    found = results("earning_a_name")["all"]
+    of = found["of"]
+    columns = ["rule", *(f"{kind}, of {of[kind]}" for kind in of)]
+    return markdown(columns, [[rule, *kept.values()] for rule, kept in found["rules"].items()])
+
+
+@table
+def earning_a_name_areas() -> str:
+    names = {
+        "evidence": "evidence",
+        "capped": "evidence, capped by the estimate",
+        "elpd_final": "elpd over se, noise of the final model",
+        "elpd_saturated": "elpd over se, noise of smooth curves",
+        "elpd": "elpd over se, least squares in the band",
+        "equivalence": "equivalence",
+    }
+    area = results("earning_a_name")["all"]["area"]
+    return markdown(["score", "area"], [[words, f"{area[key]:.3f}"] for key, words in names.items()])
 
 
 @table

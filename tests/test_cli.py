@@ -72,7 +72,7 @@ def test_diagnose_writes_everything(diagnosed: tuple[Path, str]) -> None:
     wanted = {"effect", "joints", "links", "probability", "log_evidence_gain", "parameters", "where", "statement"}
     assert finding.keys() >= wanted | {"indistinguishable_from", "nmse_before", "nmse_after"}
     assert finding["where"] == {"recordings": None, "time_s": None, "region": None}
-    assert diagnosis["fit"].keys() == {"urdf", "rigid_body", "extended"}
+    assert diagnosis["fit"].keys() == {"urdf", "baseline", "rigid_body", "extended"}
     assert diagnosis["fit"]["extended"]["nmse"].keys() == set(diagnosis["joints"])
     assert (folder / "report.html").read_text().startswith("<!")
 

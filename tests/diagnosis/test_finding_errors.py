@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -11,11 +11,9 @@ from likelihood.fits import URDF, at_joint
 from simulated import Motion, record
 
 import torchrbd
-from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis import explain as explaining
 from torchrbd.diagnosis.explain import explain
-from torchrbd.diagnosis.negligible import split_negligible
-from torchrbd.diagnosis.results import HELD_OUT, Finding
+from torchrbd.diagnosis.results import HELD_OUT, Elpd, Finding
 from torchrbd.inference.physical.fitting import judge
 
 pytestmark = pytest.mark.usefixtures("fit_alone")
@@ -48,17 +46,10 @@ def test_findings_are_judged_in_the_model_that_is_reported(monkeypatch: pytest.M
     (drag,) = model.terms
     assert drag.effect.id == DRAG
 
-    def without_drag(
-        every: Sequence[tuple[Candidate, Finding]],
-        error_without: Callable[[Sequence[Candidate]], Mapping[str, float]],
-        _: object,
-    ) -> tuple[list[tuple[Candidate, Finding]], list[tuple[Candidate, Finding]]]:
-        kept = [pair for pair in every if pair[0] != drag]
-        kept, _ = split_negligible(kept, lambda more: error_without([drag, *more]), lambda *_: False)
-        return kept, [pair for pair in every if pair[0] == drag]
-
-    monkeypatch.setattr(explaining, "split_negligible", without_drag)
+    worthless = Elpd(3.0, 4.0, 0.01, 0.3)
+    monkeypatch.setattr(explaining, "unproven", lambda *_: {drag: worthless})
     found = explain(model)
     assert found.model.terms == ()
+    assert [(one.effect, one.elpd) for one in found.not_confirmed if one.effect == DRAG] == [(DRAG, worthless)]
     assert FIRST in {joint for one in found.findings for joint in one.joints}
     check(found.findings, judge(found.model.prepared.judging, found.model.model.x).nmse)

@@ -12,7 +12,18 @@ from shortened import fit_alone
 from simulated import record, with_wrong_inertials
 
 from torchrbd.diagnosis.diagnosis import Diagnosis
-from torchrbd.diagnosis.results import Alternative, Curve, Finding, Law, Quantity, Ratio, Region, Unexplained, Where
+from torchrbd.diagnosis.results import (
+    Alternative,
+    Curve,
+    Elpd,
+    Finding,
+    Law,
+    Quantity,
+    Ratio,
+    Region,
+    Unexplained,
+    Where,
+)
 from torchrbd.display import Remark
 from torchrbd.export import write_parameters
 from torchrbd.export.json_files import write_comparison, write_diagnosis
@@ -139,9 +150,9 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
     one = Finding(
         "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2},
         family="friction", family_probability=0.98, laws=(Law("stribeck_friction", 0.7), Law("quadratic_drag", 0.3)),
-        torque_rms={"a": 1.5}, held_out_ratio=Ratio(0.9, 0.8, 1.0),
+        torque_rms={"a": 1.5}, elpd=Elpd(41.5, 6.0, 0.75, 0.2), held_out_ratio=Ratio(0.9, 0.8, 1.0),
     )  # fmt: skip
-    small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=())
+    small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=(), elpd=None)
     write_diagnosis(Diagnosis(found, "missing_physics", (one,), not_confirmed=(small,)), tmp_path / "d")
     content = read(tmp_path / "d")
     (told,), (not_confirmed,) = content["findings"], content["not_confirmed"]
@@ -151,6 +162,8 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
         {"effect": "quadratic_drag", "probability": 0.3},
     ]
     assert told["torque_rms"] == {"a": 1.5}
+    assert told["elpd"] == {"value": 41.5, "se": 6.0, "share": 0.75, "torque_share": 0.2}
+    assert not_confirmed["elpd"] is None
     assert (told["held_out_ratio"], content["held_out_ratio"]) == ({"value": 0.9, "low": 0.8, "high": 1.0}, None)
     # The largest of its joints.
     assert told["share"] == pytest.approx(0.75)

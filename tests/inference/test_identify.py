@@ -150,7 +150,7 @@ def test_friction_is_fitted_beside_the_inertia() -> None:
         return viscous * m.qd + coulomb * np.tanh(m.qd / 0.01)
 
     found = identify(WRONG, record(URDF, 4, extra=friction), effects=["viscous_friction", "coulomb_friction"])
-    assert set(found.fits) == {"urdf", "rigid_body", "extended"}
+    assert set(found.fits) == {"urdf", "baseline", "rigid_body", "extended"}
     assert found.fits["extended"].mean_nmse < 0.2 * found.fits["rigid_body"].mean_nmse
     terms = {(p.name, p.owner): p for p in found.parameters if p.status == "term"}
     for k, joint in enumerate(joint_names(URDF)):
@@ -290,7 +290,7 @@ def test_friction_that_the_urdf_lacks_is_fitted_unless_told_otherwise(recording:
     named = {p.name.split("_joint")[0] for p in friction.parameters if p.status == "term"}
     assert named == {"viscous_friction", "coulomb_friction", "torque_offset"}
     assert "extended" in friction.fits
-    assert set(rigid.fits) == {"urdf", "rigid_body"}
+    assert set(rigid.fits) == {"urdf", "baseline", "rigid_body"}
     one = identify(URDF, recording, exclude=["coulomb_friction", "torque_offset"])
     assert {p.name.split("_joint")[0] for p in one.parameters if p.status == "term"} == {"viscous_friction"}
 

@@ -32,7 +32,7 @@ def identification(
     t = np.tile(np.arange(m // 2) / 25, 2)
     phase = rng.uniform(0, 6, n)
     q, qd = np.sin(t[:, None] + phase), np.cos(t[:, None] + phase)
-    predicted = {"urdf": 9 * q, "rigid_body": 10 * q}
+    predicted = {"urdf": 9 * q, "baseline": 10 * q + 0.5 * np.sign(qd), "rigid_body": 10 * q}
     if extended:
         predicted["extended"] = 10 * q + np.sign(qd)
     measured = 10 * q + np.sign(qd) + 0.05 * rng.standard_normal(q.shape)

@@ -7,7 +7,7 @@ import pytest
 from report.fabricated import curve, diagnosis, with_friction
 from report.rendered import Text, render, tidy
 
-from torchrbd.diagnosis.results import Alternative, Law, Quantity, Region, Where
+from torchrbd.diagnosis.results import Alternative, Elpd, Law, Quantity, Region, Where
 from torchrbd.report.text.numbers import number
 
 pytestmark = pytest.mark.usefixtures("without_joint_figures")
@@ -157,10 +157,20 @@ def test_laws_that_explain_the_same_are_told_with_their_family(tmp_path):
     assert "Which law" not in text
 
 
-def test_what_held_out_data_does_not_confirm_has_its_own_section(tmp_path):
+def test_a_card_says_what_cross_validation_gains(tmp_path):
+    result = diagnosis(("joint1", "joint2"))
+    (one,) = result.findings
+    sure = replace(result, findings=(replace(one, elpd=Elpd(412.0, 33.0, 0.87, 0.3)),))
+    text = " ".join(Text(render(sure, tmp_path)).words).replace("\N{NO-BREAK SPACE}", " ")
+    assert "Cross-validation 87 % of the error of left-out blocks; elpd gain 412 ± 33 nats (± standard error)" in text
+    assert "left-out blocks" not in render(result, tmp_path)
+
+
+def test_what_cross_validation_does_not_confirm_has_its_own_section(tmp_path):
     result = diagnosis(("joint1", "joint2"))
     small = replace(result.findings[0], effect="torque_ripple")
     page = render(replace(result, not_confirmed=(small,)), tmp_path)
+    assert "<h2>Not confirmed by cross-validation</h2>" in page
     part = page.partition('id="not-confirmed"')[2].partition("</section>")[0]
     assert "Torque ripple at joint2 (in hold.csv, 4.0 to 7.0 s)" in " ".join(Text(f"<body>{part}</body>").words)
     order = (

@@ -27,8 +27,8 @@ def test_a_diagnosis_says_what_where_how_sure_and_what_is_left() -> None:
         where missing value ± 95 % probability |
         joint2 (in hold.csv, 4.0 to 7.0 s) Coulomb friction 1.000 ± 0.024 N m 98 % |
         A torque at joint2 is unexplained. |
-        held-out nmse URDF re-fitted extended against the URDF joint1 0.0301 0.0200 |
-        mean 0.0298 0.0200 5.02·10⁻⁵ 590 times less | held-out data (hold.csv), below 5 Hz |
+        held-out nmse URDF baseline re-fitted extended against the URDF joint1 0.0301 0.00500 0.0200 |
+        mean 0.0298 0.00504 0.0200 5.02·10⁻⁵ 590 times less | held-out data (hold.csv), below 5 Hz |
         Inertial parameters: 1 identified, 1 not identifiable.
     """
     assert [part.strip() for part in parts.split("|") if part.strip() not in text] == []
@@ -54,7 +54,7 @@ def test_friction_at_all_joints_is_one_table_and_a_simulation_is_called_one() ->
     assert "joint2 (in hold.csv, 4.0 to 7.0 s) torque ripple" in text
     assert "friction ± 95 % viscous friction [N m s/rad] Coulomb friction [N m] joint1 0.50 ± 0.04 99 %" in text
     assert "joint7 0.50 ± 0.04 90 % 0.50 ± 0.04 90 % A torque at joint2 is" in text
-    assert "held-out nmse simulation re-fitted extended against the simulation" in text
+    assert "held-out nmse simulation baseline re-fitted extended against the simulation" in text
 
 
 def test_what_is_likely_but_not_shown_stands_apart_and_many_numbers_are_counted() -> None:
@@ -66,7 +66,7 @@ def test_what_is_likely_but_not_shown_stands_apart_and_many_numbers_are_counted(
     text = words(replace(result, findings=(whole,), not_confirmed=(one, whole), unexplained=()))
     assert "whole robot (in hold.csv, 4.0 to 7.0 s) tilted base p0 1.000 ± 0.024 N m" in text
     assert "5 more 98 %" in text
-    assert "not confirmed on held-out data: Coulomb friction at joint2; tilted base on the whole robot." in text
+    assert "not confirmed by cross-validation: Coulomb friction at joint2; tilted base on the whole robot." in text
     assert "depends" not in text
 
 

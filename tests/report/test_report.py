@@ -218,9 +218,9 @@ def test_consistent_robot_needs_no_findings(tmp_path):
 @pytest.mark.usefixtures("without_joint_figures")
 def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
     result = diagnosis(("joint1", "joint2", "joint3"), unmeasured=0)
-    over = {"rigid_body": Ratio(0.312, 0.252, 0.403), "urdf": Ratio(0.0054, 0.0042, 0.0071)}
-    memory = {"urdf": 1.2, "rigid_body": 0.35, "extended": 0.11}
-    worse = {"rigid_body": Ratio(1.15, 1.08, 1.2), "urdf": Ratio(0.9, 0.7, 1.1)}
+    over = {"baseline": Ratio(0.312, 0.252, 0.403), "urdf": Ratio(0.0054, 0.0042, 0.0071)}
+    memory = {"urdf": 1.2, "baseline": 0.71, "rigid_body": 0.35, "extended": 0.11}
+    worse = {"baseline": Ratio(1.15, 1.08, 1.2), "urdf": Ratio(0.9, 0.7, 1.1)}
     result = replace(
         result,
         held_out_checks=(
@@ -230,8 +230,8 @@ def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
     )
     page = render(result, tmp_path)
     text = " ".join(Text(page).words).replace("\N{NO-BREAK SPACE}", " ")
-    assert "joint2 31 % (25 to 40) 0.54 % (0.42 to 0.71) 1.2 s 0.35 s 0.11 s" in text
-    assert "joint3 115 % (108 to 120) 90 % (70 to 110) 1.2 s 0.35 s 0.4 s" in text
+    assert "joint2 31 % (25 to 40) 0.54 % (0.42 to 0.71) 1.2 s 0.71 s 0.35 s 0.11 s" in text
+    assert "joint3 115 % (108 to 120) 90 % (70 to 110) 1.2 s 0.71 s 0.35 s 0.4 s" in text
     assert "White noise below 5 Hz has 0.1 s" in text
     cells = re.findall(r'<td class="([^"]*)">[^<]* to ', page)
     assert [" ".join(c.split()) for c in cells] == ["group best", "best", "group worse", ""]
@@ -240,15 +240,15 @@ def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
 
 
 def test_one_line_says_what_findings_are_worth():
-    result, memory = diagnosis(("joint1",)), dict.fromkeys(("urdf", "rigid_body", "extended"), 0.1)
+    result, memory = diagnosis(("joint1",)), dict.fromkeys(("urdf", "baseline", "extended"), 0.1)
 
     def told(*parts: float) -> str:
-        ratios = ({"rigid_body": Ratio(x, 0.9 * x, 1.1 * x), "urdf": Ratio(x, x, x)} for x in parts)
+        ratios = ({"baseline": Ratio(x, 0.9 * x, 1.1 * x), "urdf": Ratio(x, x, x)} for x in parts)
         return worth(
             replace(result, held_out_checks=tuple(HeldOutCheck(f"j{k}", r, memory, 0.1) for k, r in enumerate(ratios)))
         )
 
-    begin = "Squared error on held-out data relative to the re-fitted rigid body, with 95 % intervals: "
+    begin = "Squared error on held-out data relative to least squares with friction, with 95 % intervals: "
     assert told(0.5, 1.0, 0.2) == f"{begin}20 % (18 to 22) at j2 and 50 % (45 to 55) at j0."
     assert told(0.5, 0.6, 0.4, 0.3, 2.0) == (
         f"{begin}30 % (27 to 33) at j3 to 60 % (54 to 66) at j1; less at 4 of 5 joints."

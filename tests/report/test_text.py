@@ -1,4 +1,4 @@
-"""Every sentence of a result: short, in the field's terms, and headlines that hold what held-out data confirm."""
+"""Every sentence of a result: short, in the field's terms, and headlines that hold what is found."""
 
 import math
 from dataclasses import replace
@@ -13,6 +13,7 @@ from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import (
     OWN_TIME,
     Alternative,
+    Elpd,
     Finding,
     NextEffect,
     Quantity,
@@ -137,14 +138,16 @@ def test_the_headline_leads_with_what_removes_most_held_out_error() -> None:
     )
 
 
-def test_what_held_out_data_does_not_confirm_is_not_in_the_headline() -> None:
+def test_held_out_data_does_not_decide_what_is_in_the_headline() -> None:
     sure, here = finding("backlash", "joint1"), {"joint2": 0.3}
     unseen = finding("payload", links=("hand",), judged_on=OWN_TIME)
     useless = finding("joint_spring", "joint2", nmse_before=here, nmse_after=here)
     elsewhere = finding("torque_ripple", "joint2", held_out_ratio=Ratio(0.3, -0.2, 0.8))
-    assert head(unseen, useless, elsewhere, sure) == "The URDF lacks backlash at joint1."
+    assert head(unseen, useless, elsewhere, sure) == (
+        "The URDF lacks torque ripple at joint2, backlash at joint1, a payload on hand and a joint spring at joint2."
+    )
     assert "Not confirmed on held-out data: 3 of 4 findings." in result(unseen, useless, elsewhere, sure).statement
-    assert "held-out data does not confirm it" in head(unseen, useless, elsewhere)
+    assert head(useless) == "The URDF lacks a joint spring at joint2."
 
 
 def test_what_the_urdf_has_is_called_wrong() -> None:
@@ -303,6 +306,27 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
     )
     brief = finding("payload", nmse_before={}, nmse_after={}, judged_on="")
     assert brief.statement.endswith("Its own window of time is too short for cross-validation.")
+
+
+@pytest.mark.parametrize(
+    ("elpd", "words"),
+    [
+        (Elpd(40.0, 5.0, 0.8, 0.3), ""),
+        (Elpd(2.0, 5.0, 0.8, 0.3),
+         " Cross-validation does not confirm it: the gain of log predictive density is 2 ± 5 nats."),
+        (Elpd(0.0, 0.0, 0.0, 0.0),
+         " Cross-validation does not confirm it: the gain of log predictive density is none."),
+        (Elpd(40.0, 5.0, 0.8, 0.004),
+         " It is negligible: 80 % of the squared error of left-out blocks, 0.4 % of the torque."),
+        (Elpd(40.0, 5.0, 0.012, 0.3),
+         " It is negligible: 1.2 % of the squared error of left-out blocks, 30 % of the torque."),
+    ],
+    ids=["confirmed", "by chance", "too short", "little torque", "little error"],
+)  # fmt: skip
+def test_a_sentence_says_why_cross_validation_does_not_confirm_it(elpd: Elpd, words: str) -> None:
+    plain = finding("backlash", "joint1")
+    begin, mark, rest = plain.statement.partition("(± 95 %).")
+    assert replace(plain, elpd=elpd).statement == f"{begin}{mark}{words}{rest}"
 
 
 def test_another_variant_is_asked_for() -> None:

@@ -41,7 +41,7 @@ from torchrbd.report.text.verdict import badge, headline, model_words, worth
 SURE = 0.95
 # What leaves room for the other columns on a narrow terminal: recordings that are named, letters in a line.
 _MOST_RECORDINGS, _WIDEST = 2, 22
-_MODEL_WORDS = {"rigid_body": "re-fitted", "extended": "extended"}
+_MODEL_WORDS = {"baseline": "baseline", "rigid_body": "re-fitted", "extended": "extended"}
 
 
 def print_diagnosis(result: Diagnosis) -> None:
@@ -51,10 +51,9 @@ def print_diagnosis(result: Diagnosis) -> None:
     in_table = {id(f) for row in folded for f in row.findings}
     special = [f for f in result.findings if id(f) not in in_table]
     recordings = len(result.identification.recordings)
-    _print_findings([f for f in special if f.held_out], recordings, "missing", out)
+    _print_findings(special, recordings, "missing", out)
     if folded:
         _print_plain(folded, out)
-    _print_findings([f for f in special if not f.held_out], recordings, "not confirmed on held-out data", out)
     for statement in (
         *(d.statement for d in result.joint_deflections),
         *(rest.statement for rest in result.unexplained),

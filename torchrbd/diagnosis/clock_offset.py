@@ -14,8 +14,9 @@ from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.posterior import prior_log_odds, probabilities
+from torchrbd.diagnosis.proof import elpd_of_rows
 from torchrbd.diagnosis.ranked import Ranked, Ranking
-from torchrbd.diagnosis.results import Alternative, Finding, Law, Quantity, Where
+from torchrbd.diagnosis.results import Alternative, Elpd, Finding, Law, Quantity, Where
 from torchrbd.effects import effect
 from torchrbd.inference.identification import Identification
 from torchrbd.inference.preparation import Prepared
@@ -41,7 +42,7 @@ def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identifi
     values = {"delay": late, "time_constant": -late}
     own = effect(best.effect)
     (name,) = best.parameters
-    before, after, carried = _worth(extended, identification)
+    before, after, carried, worth = _worth(extended, identification)
     return Finding(
         effect=best.effect,
         joints=(),
@@ -60,6 +61,7 @@ def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identifi
         family_probability=min(float(sure.sum()), DECISIONS.largest_probability),
         laws=tuple(Law(found[k].effect, float(sure[k] / sure.sum())) for k in order),
         torque_rms=carried,
+        elpd=worth,
     )
 
 
@@ -75,14 +77,19 @@ def _is_offset(h: Ranked) -> bool:
 
 def _worth(
     extended: FinalModel, identification: Identification
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return by joint the held-out nmse without the offset and with it, and the RMS of what it moves [N m or N]."""
-    prepared, model = extended.prepared, copy(identification.model)
+) -> tuple[dict[str, float], dict[str, float], dict[str, float], Elpd]:
+    """Return by joint the held-out nmse without the offset and with it, the RMS of what it moves [N m or N], and what
+    the offset is worth on fitted time: it is one number, of all joints."""
+    prepared, model, series = extended.prepared, copy(identification.model), identification.series
     model.conditions = {name: one.without_clock() for name, one in model.conditions.items()}
     without = torque_series(prepared.reading, {"extended": model}, prepared.kept_back)
     before, after = without.fit("extended").nmse, identification.fits["extended"].nmse
-    moved, carried = identification.series.predicted["extended"] - without.predicted["extended"], dict[str, float]()
+    moved, carried = series.predicted["extended"] - without.predicted["extended"], dict[str, float]()
     for j, joint in enumerate(without.joints):
         seen = np.isfinite(without.measured[:, j])
         carried[joint] = float(np.sqrt(np.mean(moved[seen, j] ** 2))) if seen.any() else 0.0
-    return before, {joint: after[joint] for joint in before}, carried
+    errors = (without.residual("extended"), series.residual("extended"))
+    rms = np.sqrt(np.mean(np.where(np.isfinite(series.measured), series.measured, 0.0) ** 2, 0))
+    share = max(carried[joint] / max(float(size), 1e-300) for joint, size in zip(without.joints, rms, strict=True))
+    worth = elpd_of_rows(*errors, series.recording, series.t, ~series.held_out, share)
+    return before, {joint: after[joint] for joint in before}, carried, worth

@@ -14,8 +14,10 @@ class Decisions:
         largest_probability: no probability is reported above it.
         least_law: probability from which an effect counts as another explanation of a finding.
         no_change: relative change of a held-out error that cannot be distinguished from none.
-        negligible_torque, negligible_error: a finding that carries less than this part of its joint's torque, and that
-            removes less than this part of its held-out error, is not confirmed.
+        least_elpd: standard errors by which a finding must improve the prediction of left-out blocks of fitted time.
+        least_torque, least_error: region of practical equivalence: what carries less than this part of its joint's
+            torque while it acts, or removes less than this part of the error of left-out blocks, has no name.
+        negligible_torque: a drift below this part of its joint's torque is not reported.
         poor_nmse: a joint with a larger held-out nmse is reported, if its errors have a memory.
         larger_error: held-out errors so many times those on fitted data are unexplained, and drift and noise so many
             times the noise.
@@ -36,8 +38,10 @@ class Decisions:
     largest_probability: float = 0.999
     least_law: float = 0.05
     no_change: float = 0.02
+    least_elpd: float = 1.0
+    least_torque: float = 0.001
+    least_error: float = 0.05
     negligible_torque: float = 0.01
-    negligible_error: float = 0.1
     poor_nmse: float = 0.01
     larger_error: float = 1.5
     memory: float = 2.0

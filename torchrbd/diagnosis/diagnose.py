@@ -13,25 +13,23 @@ from torchrbd.diagnosis.deflection import joint_deflections
 from torchrbd.diagnosis.detection_limits import detection_limits
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.explain import explain, likeliest_left, reported
-from torchrbd.diagnosis.final_model import fit_final_model
-from torchrbd.diagnosis.held_out_checks import held_out_checks
+from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
+from torchrbd.diagnosis.held_out_checks import held_out_checks, held_out_ratio
 from torchrbd.diagnosis.localisation import locate
-from torchrbd.diagnosis.negligible import is_negligible
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.ranking import run_search, without_terms
-from torchrbd.diagnosis.refuting import friction_alone, functions_alone, is_refuted, shown_of, what_counts
-from torchrbd.diagnosis.results import Finding, Unexplained, strongest_first
+from torchrbd.diagnosis.proof import tells_nothing
+from torchrbd.diagnosis.ranking import run_search
+from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
-from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, only_where_fitted, tones, unexplained
+from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, unexplained
 from torchrbd.errors import OptionError
 from torchrbd.estimators import OF_RECORDINGS
 from torchrbd.inference.identify import marked, read_arguments, summarise
 from torchrbd.inference.ordinary import with_friction, with_machine
 from torchrbd.inference.preparation import prepare
 from torchrbd.inference.suspicions import suspicions
-from torchrbd.inference.verdict import tells_nothing
 from torchrbd.options import Names, Payload, given
 from torchrbd.recordings import Sources
 from torchrbd.robot import RobotModel
@@ -116,42 +114,30 @@ def diagnose(
         return suspect(prepared, settings, progress, suspected)
     search = run_search(prepared.reading, settings, prepared.kept_back, progress)
     found, may = search.explanation, [e.id for e in settings.chosen_effects()]
-    asked, prepared = prepared, with_machine(prepared, settings, with_friction(settings), progress, search.clocks)
+    laws = [term.own.candidate for term in found.terms if term.own.candidate.effect.family == "friction"]
+    asked = prepared
+    prepared = with_machine(prepared, settings, with_friction(settings), progress, search.clocks, laws)
     progress("fitting what was found", 0.0)
     model = simplified(fit_final_model(prepared, found, may, progress), prepared, may, progress)
     found = model.found
-    worthless = tells_nothing(model.prepared, model.model)
-    if worthless and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
+    if tells_nothing(model.prepared, model.model) and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
         return suspect(asked, settings, progress, suspected, search.ranking)
-    explained, alone, base = explain(model), (), search
-    full, plainly = explained.model, worthless or is_refuted(explained, asked)
-    if plainly and explained.apart and not worthless:
-        # Bodies and friction may have absorbed the opposite of the effects that are not confirmed.
-        explained = what_counts(explained)
-        plainly = not explained.model.terms or is_refuted(explained, asked)
-    if plainly:
-        base = without_terms(search, settings.chosen_effects())
-        explained = friction_alone(asked, explained, base, settings, progress)
-        alone = (*tones(found), *(() if worthless else functions_alone(asked, search, settings, progress)))
-    there = None if plainly else shown_of(explained.model)
+    explained = explain(model)
     findings, not_confirmed, model = explained.findings, explained.not_confirmed, explained.model
     found = model.found
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = joint_deflections(model.prepared, model.model)
-    late = clock_offset(base.ranking, model, identification)
-    if late is not None and is_negligible(late, model):
-        not_confirmed = strongest_first((*not_confirmed, late))
-    elif late is not None:
+    late = clock_offset(search.ranking, model, identification)
+    if late is not None and late.elpd is not None and late.elpd.proven:
         findings = strongest_first((*findings, late))
+    elif late is not None:
+        not_confirmed = strongest_first((*not_confirmed, late))
     findings = with_springs(findings, springs)
     proof = held_out_checks(identification.series, identification.cutoff_hz)
-    nameless = (*unexplained(model), *drifts(identification.series, identification.robot))
-    explained_joints = {joint for one in (*(() if plainly else findings), *nameless) for joint in one.joints}
-    rest = merge_errors((*alone, *nameless, *large_errors(identification.series, proof, explained_joints)))
-    if plainly:
-        known = {joint for one in rest for joint in one.joints}
-        rest = (*rest, *(one for one in only_where_fitted(full, model) if one.joints[0] not in known))
+    nameless = (*unexplained(model, explained.curves), *drifts(identification.series, identification.robot))
+    explained_joints = {joint for one in (*findings, *nameless) for joint in one.joints}
+    rest = merge_errors((*nameless, *large_errors(identification.series, proof, explained_joints)))
     progress("locating residuals", 0.0)
     locations, maps = locate(found, lambda part: progress("locating residuals", part))
     identification = marked(identification)
@@ -171,10 +157,15 @@ def diagnose(
         proof,
         ranking=reported(search, model),
         not_confirmed=not_confirmed,
-        held_out_ratio=there if findings else None,
-        refuted=plainly,
+        held_out_ratio=_shown_on_held_out(model) if findings else None,
         next_effect=likeliest_left(search.explanation),
     )
+
+
+def _shown_on_held_out(final: FinalModel) -> Ratio | None:
+    """Return the size on held-out data of what a model adds to one with baseline friction, see ``held_out_ratio``."""
+    prepared = final.prepared
+    return held_out_ratio(prepared.judging, final.model, prepared.fit(prepared.columns.urdf_friction).x)
 
 
 def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained], *, refit_matters: bool) -> str:

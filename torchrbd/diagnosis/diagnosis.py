@@ -42,8 +42,8 @@ class Diagnosis(Displayed, Stated):
     Attributes:
         identification: the fitted model and its data.
         verdict: "consistent": the URDF as given explains the data. "parameters": a rigid body with other parameters
-            does. "missing_physics": named effects are needed. "unexplained": no known effect explains a residual, or
-            held-out data contradicts the effect that does. "suspect": the recordings seem to mean something else, or
+            does. "missing_physics": named effects are needed. "unexplained": no known effect explains a residual.
+            "suspect": the recordings seem to mean something else, or
             no model predicts better than a constant. There are no findings then; ``identification.suspicions`` lists
             what was tested.
         findings: named effects: those likelier than not, then the others; in both, by the held-out error removed.
@@ -55,11 +55,10 @@ class Diagnosis(Displayed, Stated):
         simulated: recordings of a simulator that were used as the prediction of the URDF.
         held_out_checks: by joint, how the extended model predicts held-out torque.
         ranking: all hypotheses that were considered, by their evidence.
-        not_confirmed: effects that are as likely as findings, but that held-out data does not show. They carry next to
-            no torque, or other inertial parameters explain the data as well.
+        not_confirmed: effects that are as likely as findings, but that cross-validation does not confirm: left-out
+            blocks of the fitted time are not predicted better with them, or not by enough to be worth a name.
         held_out_ratio: torque that the extended model adds to a rigid body with baseline friction: its size on held-out
             data over that fitted. 1 if it is right, None if unknown.
-        refuted: whether held-out data is predicted better without the findings.
         next_effect: what else is likelier than not, if anything.
         decisions: the limits that decided what is reported.
     """
@@ -77,7 +76,6 @@ class Diagnosis(Displayed, Stated):
     ranking: Ranking | None = None
     not_confirmed: tuple[Finding, ...] = field(default=())
     held_out_ratio: Ratio | None = None
-    refuted: bool = False
     next_effect: NextEffect | None = None
     decisions: Decisions = DECISIONS
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,14 +17,15 @@ from torchrbd.diagnosis.evidence_cap import evidence_of_estimate
 from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.friction import COULOMB, OFFSET, UNEVEN, Friction
 from torchrbd.diagnosis.hypotheses import Hypothesis, mean_of, prior_std, whole
-from torchrbd.diagnosis.negligible import contradicted, is_negligible, split_negligible
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.posterior import Inclusion, inclusion, log_odds, probability_of
+from torchrbd.diagnosis.proof import Proof, unproven
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.ranking import SearchResult
 from torchrbd.diagnosis.refitted_models import RefittedModels
 from torchrbd.diagnosis.results import (
     Alternative,
+    Elpd,
     Finding,
     Law,
     NextEffect,
@@ -37,10 +38,10 @@ from torchrbd.diagnosis.simplifying import as_estimated
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Effect
 from torchrbd.effects.base import UNEVENNESS
+from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.physical.terms import estimated_parameters
 from torchrbd.robot import RobotModel
 
-_FRICTION = "friction"
 # Standard deviations of intervals of 95 %, and of a bound.
 _TWO_SIDED, _ONE_SIDED = 1.96, 1.645
 
@@ -50,71 +51,58 @@ class Explained:
     """The report on the terms that were found.
 
     Attributes:
-        findings: those that count, the largest gain first.
-        not_confirmed: others as likely that are negligible (all of them together) or a proxy for another effect.
-        model: without negligible laws of friction, whose torque baseline friction takes over and reports; and without
-            terms that held-out data contradicts, unless other joints need them.
-        apart: terms of the model that are negligible.
+        findings: those that are proven, the largest gain first.
+        not_confirmed: others as likely that are not proven, or too uncertain.
+        model: without terms that are not proven; baseline friction may have absorbed parts of these.
+        curves: what its smooth curves are worth.
     """
 
     findings: tuple[Finding, ...]
     not_confirmed: tuple[Finding, ...]
     model: FinalModel
-    apart: tuple[Candidate, ...]
+    curves: dict[Candidate, Elpd]
 
 
 def explain(extended: FinalModel) -> Explained:
-    """Describe what was found, if it, or its family, is likelier than not."""
-    robot = extended.prepared.robot
-    everywhere = {(c.effect, c.site) for c, _, _ in _sure(extended)}
-
-    def completed(chosen: Sequence[tuple[Candidate, Finding]]) -> tuple[Finding, ...]:
-        found = []
-        for term, one in chosen:
-            more = term.site.recordings is not None and (term.effect, replace(term.site, recordings=None)) in everywhere
-            found.append(replace(one, adds_to_all=more, variant=another_variant(one, robot)))
-        return strongest_first(found)
-
-    fits, every = RefittedModels(extended), _terms_and_findings(extended)
-    own_time = {term: fits.in_its_time(term, one) for term, one in every if not fits.held_out_sees(term)}
-    # Held-out data does not show an effect that was there too briefly to be divided.
-    unseen = {term for term, one in own_time.items() if not one.judged_on or one.share < DECISIONS.no_change}
-    kept, apart = split_negligible(
-        every, fits.error_without, lambda term, one: term in unseen or is_negligible(one, extended)
-    )
-
-    def proven(term: Candidate, one: Finding, others: Sequence[Candidate], by_own: Collection[Candidate]) -> Finding:
-        if term in by_own:
-            return _judged_as(own_time[term], one)
-        return replace(one, held_out_ratio=fits.held_out_ratio(term, one, others))
-
-    others = [term for term, _ in apart]
-    kept = [(term, proven(term, one, others, own_time)) for term, one in kept]
-    # A term that was added and makes its own joints worse is a proxy for something that others need: it stays there.
-    proxies = [(term, one) for term, one in kept if term in extended.terms and contradicted(one)]
-    kept = [(term, one) for term, one in kept if term not in dict(proxies)]
-    # A term confirmed in its own window is still not confirmed if held-out data is predicted worse with it.
-    not_confirmed = completed([*((term, proven(term, one, [], unseen)) for term, one in apart), *proxies])
-    others += [term for term, _ in proxies]
-    # Baseline friction takes over what laws of friction had; nothing takes over what held-out data contradicts.
-    leave = {term for term, one in apart if term.effect.family == _FRICTION or contradicted(one)}
-    gone = leave.intersection(extended.terms)
+    """Describe what was found: what is likelier than not, or whose family is, and proven on left-out blocks."""
+    proof = Proof(extended)
+    likely = dict(_terms_and_findings(extended))
+    gone = unproven(proof, [term for term in extended.terms if term.effect is not HUM])
+    dropped = [replace(likely[term], elpd=elpd) for term, elpd in gone.items() if term in likely]
     if gone:
         extended = extended.without(gone)
-        fits, judged = RefittedModels(extended), dict(kept)
-        left = [(term, one) for term, one in _terms_and_findings(extended) if term not in others]
-        # Friction for which these laws were a proxy was not reported before.
-        new = [pair for pair in left if pair[0] not in judged]
-        new, more = split_negligible(new, fits.error_without, lambda _, one: is_negligible(one, extended))
-        not_confirmed += completed([(term, proven(term, one, [], unseen)) for term, one in more])
-        again = [(term, _judged_as(judged[term], one)) for term, one in left if term in judged]
-        kept = [(term, fits.judged(term, one, others)) for term, one in again]
-        kept += [(term, proven(term, one, [t for t, _ in more], unseen)) for term, one in new]
-        others += [term for term, _ in more]
-    uncertain = _terms_and_findings(extended, likely=False)
-    not_confirmed += completed([(term, fits.judged(term, one, [])) for term, one in uncertain])
-    still = tuple(term for term in extended.terms if term in others)
-    return Explained(completed(_once(kept, extended.model.columns)), not_confirmed, extended, still)
+        proof = Proof(extended)
+    kept, apart = list[tuple[Candidate, Finding]](), list[Finding]()
+    for term, one in _terms_and_findings(extended):
+        elpd = proof.elpd(term)
+        one = _judged(term, replace(one, elpd=elpd), proof.fits)
+        if elpd.proven:
+            kept.append((term, one))
+        else:
+            apart.append(one)
+    uncertain = [_judged(term, one, proof.fits) for term, one in _terms_and_findings(extended, likely=False)]
+    findings = [one for _, one in _once(kept, extended.model.columns)]
+    curves = {term: proof.elpd(term) for term in extended.terms if is_curve(term) and term.effect is not HUM}
+    not_confirmed = _completed([*apart, *dropped, *uncertain], extended)
+    return Explained(_completed(findings, extended), not_confirmed, extended, curves)
+
+
+def _judged(term: Candidate, one: Finding, fits: RefittedModels) -> Finding:
+    """Return a finding with its errors on held-out data, or in its own window where held-out data has none of it."""
+    if not fits.held_out_sees(term):
+        return fits.in_its_time(term, one)
+    return replace(fits.judged(term, one), held_out_ratio=fits.held_out_ratio(term, one))
+
+
+def _completed(found: Sequence[Finding], extended: FinalModel) -> tuple[Finding, ...]:
+    """Return findings, the strongest first, with what else is to be said of them."""
+    robot = extended.prepared.robot
+    always = {(c.effect.id, *places(robot, c)) for c, _, _ in _sure(extended) if c.site.recordings is None}
+    more = [one.where.recordings is not None and (one.effect, one.joints, one.links) in always for one in found]
+    return strongest_first(
+        replace(one, adds_to_all=adds, variant=another_variant(one, robot))
+        for one, adds in zip(found, more, strict=True)
+    )
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:
@@ -141,12 +129,6 @@ def _terms_and_findings(extended: FinalModel, *, likely: bool = True) -> list[tu
         for term, evidence, sure in _sure(extended)
         if (max(sure.probability, sure.family_probability) > DECISIONS.likely) is likely
     ]
-
-
-def _judged_as(judged: Finding, one: Finding) -> Finding:
-    """Return a finding with its errors on held-out data elsewhere."""
-    taken = ("nmse_before", "nmse_after", "judged_on", "held_out_ratio")
-    return replace(one, **{name: getattr(judged, name) for name in taken})
 
 
 def _sure(extended: FinalModel) -> Iterator[tuple[Candidate, float, Inclusion]]:

@@ -18,7 +18,7 @@ from torchrbd.dataset.band import band_hz
 from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.dataset.rows import KeptBack, not_held_out
 from torchrbd.diagnosis.evidence import ModelEvidence
-from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, rows_with_load, whole
+from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, whole
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.screening import is_clocks
@@ -161,18 +161,6 @@ def run_search(reading: Reading, settings: Settings, kept_back: KeptBack, progre
             "repeated channels, or choose another cut-off"
         ) from error
     return _result(found, band, replace(clocks, fit=found.fit), effects)
-
-
-def without_terms(search: SearchResult, effects: Sequence[Effect]) -> SearchResult:
-    """Return a search as it is if it has found nothing: clocks are those of the base.
-
-    Args:
-        search: with what was found.
-        effects: what may be there.
-    """
-    before = search.explanation
-    found = replace(before, fit=before.base, rows=rows_with_load(before.base), terms=(), last=before.first)
-    return _result(found, search.ranking.band_hz, replace(search.clocks, fit=before.base), effects)
 
 
 def _result(found: SearchOutcome, band: float, clocks: Clocks, effects: Sequence[Effect]) -> SearchResult:

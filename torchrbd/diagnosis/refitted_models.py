@@ -11,8 +11,7 @@ from torchrbd.dataset.block_statistics import Block
 from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.held_out_checks import held_out_ratio
-from torchrbd.diagnosis.negligible import with_errors
-from torchrbd.diagnosis.results import HELD_OUT, OWN_TIME, Finding, Ratio
+from torchrbd.diagnosis.results import OWN_TIME, Finding, Ratio
 from torchrbd.effects import Site
 from torchrbd.inference.physical.fitting import FittedModel, judge, nmse_weights
 
@@ -23,13 +22,17 @@ class RefittedModels:
     def __init__(self, extended: FinalModel) -> None:
         self.prepared, self.first = extended.prepared, extended.first
         self._friction, self._noise = len(extended.friction), extended.model.noise_variance
-        self._fitted = {frozenset[Candidate](): self.first}
+        self._fitted = dict[frozenset[Candidate], FittedModel]()
 
-    def without(self, gone: Sequence[Candidate]) -> FittedModel:
+    def without(self, gone: Collection[Candidate]) -> FittedModel:
         """Return the model without some terms, and without those that need them.
 
         Laws that refine baseline friction go with it; curves that could be a proxy for it are not in this model.
         """
+        return self.given_shapes(gone) if gone else self.first
+
+    def given_shapes(self, gone: Collection[Candidate]) -> FittedModel:
+        """Return the same, its coefficients alone fitted again: shapes, and their uncertainty, do not count."""
         key = frozenset(gone)
         if key not in self._fitted:
             self._fitted[key] = self.prepared.fit(self._rest(key), self._noise)
@@ -44,16 +47,18 @@ class RefittedModels:
         """Return held-out nmse by joint without some terms."""
         return judge(self.prepared.judging, self.without(gone).x).nmse
 
-    def judged(self, term: Candidate, one: Finding, others: Sequence[Candidate]) -> Finding:
-        """Return a finding that held-out data judge with its errors in this model, others being left out."""
-        if one.judged_on != HELD_OUT:
-            return one
-        return with_errors(term, one, self.error_without([*others, term]), self.error_without(others))
+    def judged(self, term: Candidate, one: Finding) -> Finding:
+        """Return a finding with the held-out nmse by joint without its term and with it, where the term acts."""
+        before, after = self.error_without([term]), self.error_without([])
+        touched = [
+            name for name in (one.joints if term.place is not None else after) if name in before and name in after
+        ]
+        return replace(one, nmse_before={j: before[j] for j in touched}, nmse_after={j: after[j] for j in touched})
 
     def held_out_sees(self, term: Candidate) -> bool:
         """Say whether a term acts always, or in blocks that are held out."""
         blocks, held_out = self.prepared.statistics.blocks, self.prepared.held_out.tolist()
-        return term.site.always or any(out and _acts_in(b, term.site) for b, out in zip(blocks, held_out, strict=True))
+        return term.site.always or any(out and acts_in(b, term.site) for b, out in zip(blocks, held_out, strict=True))
 
     def in_its_time(self, term: Candidate, one: Finding) -> Finding:
         """Return a finding with NMSE on the blocks in which it acts; each half is predicted by a fit to the other half.
@@ -61,7 +66,7 @@ class RefittedModels:
         Neither fit uses its own half; both use all other blocks. A single block gives no NMSE.
         """
         statistics, held_out = self.prepared.unweighted, self.prepared.held_out
-        inside = torch.tensor([_acts_in(block, term.site) for block in statistics.blocks])
+        inside = torch.tensor([acts_in(block, term.site) for block in statistics.blocks])
         own = torch.nonzero(inside)[:, 0]
         if len(own) < 2:
             return replace(one, nmse_before={}, nmse_after={}, judged_on="")
@@ -77,14 +82,14 @@ class RefittedModels:
         before, after = ({name: float(each[j] * weights[j]) for j, name in counted} for each in error)
         return replace(one, nmse_before=before, nmse_after=after, judged_on=OWN_TIME)
 
-    def held_out_ratio(self, term: Candidate, finding: Finding, others: Sequence[Candidate]) -> Ratio | None:
-        """Return the ratio of a term's torque on held-out data to that fitted, without some other terms."""
+    def held_out_ratio(self, term: Candidate, finding: Finding) -> Ratio | None:
+        """Return the ratio of a term's torque on held-out data to that fitted."""
         names = self.prepared.robot.joint_names
         joints = None if term.place is None else [names.index(name) for name in finding.joints]
-        return held_out_ratio(self.prepared.judging, self.without(others), self.without([*others, term]).x, joints)
+        return held_out_ratio(self.prepared.judging, self.without([]), self.without([term]).x, joints)
 
 
-def _acts_in(block: Block, site: Site) -> bool:
+def acts_in(block: Block, site: Site) -> bool:
     """Say whether something at a site acts in a block, or a part of it."""
     w = site.window
     if w is not None:

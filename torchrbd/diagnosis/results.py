@@ -81,6 +81,33 @@ class Ratio:
 
 
 @dataclass(frozen=True)
+class Elpd:
+    """What a term is worth on blocks of the fitted time, each predicted by a fit without it: cross-validation.
+
+    Attributes:
+        value, se: gain of the expected log predictive density by the term, and its standard error over blocks [nats].
+        share: part of the squared error that it removes, at that joint of its own where this is largest.
+        torque_share: its torque over that of the joint while it acts, RMS, at that joint where this is largest.
+    """
+
+    value: float
+    se: float
+    share: float
+    torque_share: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether the gain is larger than chance allows."""
+        return self.value > DECISIONS.least_elpd * self.se
+
+    @property
+    def proven(self) -> bool:
+        """Whether the gain is certain, and worth a name."""
+        counts = self.share >= DECISIONS.least_error and self.torque_share >= DECISIONS.least_torque
+        return self.certain and counts
+
+
+@dataclass(frozen=True)
 class Law:
     """An effect in the place of a finding, and its probability given that one of them is there."""
 
@@ -167,6 +194,7 @@ class Finding(Stated):
         family, family_probability: kind of effect, and the probability of some effect of that kind there.
         laws: the effects that explain the same.
         torque_rms: RMS of the torque that it carries, by joint [N m or N].
+        elpd: what it is worth on left-out blocks of the fitted time; None where the torque does not show it.
         judged_on: "held-out data"; "own window": cross-validated between two halves of the time in which it acts, as
             held-out data has none of it; or "", where that time is too short.
         held_out_ratio: its torque on held-out data over that fitted (1: the same); None if too little there.
@@ -191,6 +219,7 @@ class Finding(Stated):
     family_probability: float = 0.0
     laws: tuple[Law, ...] = ()
     torque_rms: dict[str, float] = field(default_factory=dict)
+    elpd: Elpd | None = None
     judged_on: str = HELD_OUT
     held_out_ratio: Ratio | None = None
     adds_to_all: bool = False
@@ -207,13 +236,6 @@ class Finding(Stated):
         """The part of its joint's squared error that it removes where it is judged, the largest of several joints."""
         shares = [1.0 - self.nmse_after[j] / b for j, b in self.nmse_before.items() if b > 0 and j in self.nmse_after]
         return max(shares, default=0.0)
-
-    @property
-    def share_of_all(self) -> float:
-        """The same of all these joints taken together."""
-        both = [(b, self.nmse_after[j]) for j, b in self.nmse_before.items() if j in self.nmse_after]
-        before, after = (math.fsum(each) for each in zip(*both, strict=True)) if both else (0.0, 0.0)
-        return 1.0 - after / before if before > 0 else 0.0
 
     @property
     def error_removed(self) -> float:
@@ -249,8 +271,7 @@ class Unexplained(Stated):
         share: its part of what the named terms do not explain there.
         curve: how it depends on the first signal.
         kind: "curve", a smooth function of a signal; "tone", one frequency; "drift", slow change with time;
-            "error", a large error on held-out data; "larger error", errors on held-out data above those of the fit; or
-            "not confirmed", explained where it was fitted alone.
+            "error", a large error on held-out data; or "larger error", errors on held-out data above those of the fit.
         sizes: numbers of that kind, by name: torque_rms [``unit``], low and high amplitude [``unit``], frequency [Hz],
             nmse on held-out data, and ratio of the errors there to those of the fit; these two, where errors have a
             memory, also of a curve, tone or drift of the joint, which then has no entry of its own for its error.

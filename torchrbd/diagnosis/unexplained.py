@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from torchrbd.dataset.columns import Candidate
-from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve
+from torchrbd.diagnosis.curve_hypotheses import depends_on
 from torchrbd.diagnosis.curves import fitted_curve, loudest_part
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import torque_rms
@@ -18,9 +17,8 @@ from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.held_out_checks import EXTENDED
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.outcome import SearchOutcome
-from torchrbd.diagnosis.results import HeldOutCheck, Region, Unexplained, Where
+from torchrbd.diagnosis.results import Elpd, HeldOutCheck, Region, Unexplained, Where
 from torchrbd.effects.smooth_torque import HUM
-from torchrbd.inference.physical.fitting import judge
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.nuisance.drift import DRIFT_HZ, MOST_DRIFT, drift_basis
 from torchrbd.robot import RobotModel
@@ -30,9 +28,15 @@ from torchrbd.robot.units import torque_unit
 _ERRORS = ("error", "larger error")
 
 
-def unexplained(extended: FinalModel) -> tuple[Unexplained, ...]:
-    """Return torques that no known effect explains: smooth functions and tones."""
-    return (*functions(extended), *tones(extended.found))
+def unexplained(extended: FinalModel, curves: Mapping[Candidate, Elpd]) -> tuple[Unexplained, ...]:
+    """Return torques that no known effect explains: smooth functions that predict left-out blocks, and tones.
+
+    Args:
+        extended: the model.
+        curves: what its smooth functions are worth.
+    """
+    counted = [(term, elpd.share) for term, elpd in curves.items() if elpd.share >= DECISIONS.no_change]
+    return (*(_curve(extended, term, share) for term, share in counted), *_tones(extended.found))
 
 
 def merge_errors(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
@@ -51,16 +55,7 @@ def merge_errors(found: Sequence[Unexplained]) -> tuple[Unexplained, ...]:
     return tuple(kept)
 
 
-def functions(extended: FinalModel) -> list[Unexplained]:
-    """Return smooth functions that held-out data shows, or that are of one recording.
-
-    Others are in the model, and listed in the ranking.
-    """
-    every = [_curve(extended, term) for term in extended.terms if is_curve(term) and term.effect is not HUM]
-    return [one for one in every if one.share >= DECISIONS.no_change or one.where.recordings is not None]
-
-
-def tones(found: SearchOutcome) -> list[Unexplained]:
+def _tones(found: SearchOutcome) -> list[Unexplained]:
     """Return tones of the fitted recordings, of which held-out recordings say nothing."""
     return [_tone(found, term.own) for term in found.terms if term.own.candidate.effect is HUM]
 
@@ -102,13 +97,10 @@ def _tone(found: SearchOutcome, h: Hypothesis) -> Unexplained:
     return Unexplained((robot.joint_names[joint],), ("t",), where, share, kind="tone", sizes=sizes, unit=unit)
 
 
-def _curve(extended: FinalModel, term: Candidate) -> Unexplained:
-    model, judging = extended.model, extended.prepared.judging
+def _curve(extended: FinalModel, term: Candidate, share: float) -> Unexplained:
+    model = extended.model
     robot, joint = model.columns.robot, term.joint
     name, unit = robot.joint_names[joint], torque_unit(robot, joint)
-    rest = model.x.index_fill(0, torch.tensor(model.columns.of(term)), 0.0)
-    with_, without = judge(judging, model.x).nmse, judge(judging, rest).nmse
-    share = max(0.0, 1.0 - with_[name] / without[name]) if without.get(name) else 0.0
     signals, region, curve = depends_on(term, robot.joint_names), None, fitted_curve(model, term)
     carried = torque_rms(term, extended).get(name, 0.0)
     recording = None if term.site.window is None else term.site.window.recording
@@ -140,17 +132,3 @@ def large_errors(
             share = 1.0 - (seen[name] / rmse) ** 2
             sizes = {"ratio": rmse / seen[name]}
             yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)
-
-
-def only_where_fitted(full: FinalModel, plain: FinalModel) -> Iterator[Unexplained]:
-    """Yield joints that a model explains much better on fitted data, though held-out data refutes it.
-
-    Args:
-        full: with what was found.
-        plain: the same data, predicted without it.
-    """
-    with_it, without = (judge(each.prepared.judging_fitted, each.model.x).rmse for each in (full, plain))
-    for name, rmse in without.items():
-        if rmse > DECISIONS.larger_error * with_it.get(name, math.inf):
-            share = 1.0 - (with_it[name] / rmse) ** 2
-            yield Unexplained((name,), (), Where(), share, kind="not confirmed")

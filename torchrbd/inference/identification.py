@@ -33,7 +33,8 @@ class Identification(Displayed):
         robot: the robot as its URDF gives it.
         recordings, held_out: names of the recordings fitted; what was held out, in words.
         cutoff_hz: the one band limit of all torques and features.
-        fits: "urdf", "rigid_body" and, after a diagnosis or with effects, "extended".
+        fits: "urdf", "baseline" (least squares with friction, see ``inference.baseline``; none of moments alone),
+            "rigid_body" and, after a diagnosis or with effects, "extended".
         verdict: the worst that is known of the last model: "identified"; "doubtful", there are ``doubts``; "worse", its
             mean nmse on held-out data is above 1.2 times the URDF's; or "suspect": the recordings seem to mean
             something else, or it predicts held-out torque no better than a constant.

@@ -17,6 +17,7 @@ from torchrbd.dataset.simulated import motion_doubts
 from torchrbd.display import Remark
 from torchrbd.errors import OptionError
 from torchrbd.estimators import WITH_INTERVALS
+from torchrbd.inference.baseline import fit_baseline
 from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.identification import Identification
@@ -214,9 +215,14 @@ def summarise(
     base = base_parameters(prepared.robot)
     covariance = final.inertial_covariance(final.covariance)
     modules = _modules(prepared, models)
-    series = torque_series(prepared.reading, modules, prepared.kept_back, progress)
-    # Of moments alone there are no rows.
-    fits = {name: series.fit(name) if len(series.t) else judge(prepared.judging, x) for name, x in coefficients.items()}
+    # Moments alone have no rows, and no recordings to fit the baseline to.
+    baseline = {"baseline": fit_baseline(prepared)} if prepared.recordings else {}
+    compared = {"urdf": modules["urdf"], **baseline, **modules}
+    series = torque_series(prepared.reading, compared, prepared.kept_back, progress)
+    if len(series.t):
+        fits = {name: series.fit(name) for name in compared}
+    else:
+        fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
     regime = regime_of(prepared, settings.estimator)
     simulation = _simulation(prepared, modules, progress)
     own, mounting = doubts_of(prepared, final, fits), fixed_base(prepared.robot)

@@ -28,7 +28,7 @@ class TorqueSeries:
         held_out: (M,) True where no fit has seen the sample.
         q, qd, qdd: (M, n) band-limited states, [rad, m], per second, per second squared.
         measured: (M, n) band-limited torque, NaN where a joint's torque was not recorded.
-        predicted: "urdf", "rigid_body" and, after a diagnosis, "extended": (M, n) each.
+        predicted: "urdf", "baseline", "rigid_body" and, after a diagnosis, "extended": (M, n) each.
     """
 
     joints: tuple[str, ...]

@@ -50,11 +50,6 @@ class Card:
         return alternatives(self.item) if isinstance(self.item, Finding) else []
 
     @property
-    def confirmed(self) -> bool:
-        """Whether held-out data confirms the finding."""
-        return isinstance(self.item, Finding) and self.item.held_out
-
-    @property
     def laws(self) -> list[tuple[str, float]]:
         """The effects that explain the same in words, with their probabilities; nothing where there is only one."""
         laws = self.item.laws if isinstance(self.item, Finding) else ()
@@ -83,8 +78,8 @@ def finding_cards(findings: Sequence[Finding], pictures: Pictures) -> list[Card]
 
 
 def plain_rows(findings: Sequence[Finding], joints: Sequence[str]) -> list[PlainRow]:
-    """Return plain friction that is likely and confirmed on held-out data, a row per joint, if there is much of it."""
-    likely = [f for f in findings if f.probability > DECISIONS.likely and f.held_out]
+    """Return plain friction that is likely, a row per joint, if there is much of it."""
+    likely = [f for f in findings if f.probability > DECISIONS.likely]
     plain = [f for f in likely if f.effect in PLAIN and f.where.recordings is None]
     here = [f for f in plain if len(f.joints) == 1 and f.joints[0] in joints]
     if len(here) < FOLDED:

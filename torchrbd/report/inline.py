@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 INK, SOFT, RULE, MEASURED = "#17212b", "#5a6673", "#e8ecf0", "#b4bcc5"
 HELD_OUT, MARK, UNKNOWN = "#eef3f8", "#f9d9c2", "#a8578a"
-COLOURS = {"urdf": "#e69f00", "rigid_body": "#0072b2", "extended": "#009e73"}  # Okabe and Ito
+COLOURS = {"urdf": "#e69f00", "baseline": "#cc79a7", "rigid_body": "#0072b2", "extended": "#009e73"}  # Okabe and Ito
 
 STYLE = {
     "svg.fonttype": "none",  # text stays text: the page sets it in its own fonts, and it can be searched

@@ -25,7 +25,7 @@ TONES = {
     "suspect": "#b3261e",
     "unexplained": "#a8578a",
 }
-MODELS = {"urdf": "URDF", "rigid_body": "re-fitted", "extended": "extended"}
+MODELS = {"urdf": "URDF", "baseline": "baseline", "rigid_body": "re-fitted", "extended": "extended"}
 STATUSES = {
     "identified": "identified",
     "combination": "in combination",
@@ -78,7 +78,7 @@ class Card:
         """The named effects, strongest first, without plain friction that has its table."""
         folded = {id(f) for row in self.friction for f in row.findings}
         found = self.diagnosis.findings if self.diagnosis else ()
-        return [_row(f) for f in found if id(f) not in folded and f.held_out]
+        return [_row(f) for f in found if id(f) not in folded]
 
     @property
     def friction(self) -> list[PlainRow]:
@@ -97,9 +97,8 @@ class Card:
 
     @property
     def not_confirmed(self) -> list[str]:
-        """Likely effects that held-out data does not confirm, with their places."""
-        found = self.diagnosis
-        every = () if found is None else (*(f for f in found.findings if not f.held_out), *found.not_confirmed)
+        """Likely effects that cross-validation does not confirm, with their places."""
+        every = () if self.diagnosis is None else self.diagnosis.not_confirmed
         return [guessed(f) + (at(f.joints, f.links) or " on the whole robot") for f in every]
 
     @property

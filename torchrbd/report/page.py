@@ -105,16 +105,6 @@ class Page:
         """The named effects, strongest first, without plain friction that has its table."""
         return finding_cards(self.diagnosis.findings, self.pictures) if self.diagnosis else []
 
-    @property
-    def confirmed(self) -> list[Card]:
-        """The findings that held-out data confirms."""
-        return [card for card in self.findings if card.confirmed]
-
-    @property
-    def not_confirmed(self) -> list[Card]:
-        """Those that it does not confirm."""
-        return [card for card in self.findings if not card.confirmed]
-
     @cached_property
     def friction(self) -> list[PlainRow]:
         """Viscous and Coulomb friction and offsets, a row per joint, if there are many."""
@@ -148,8 +138,8 @@ class Page:
         return unexplained_cards(self.diagnosis, self.pictures) if self.diagnosis else []
 
     @property
-    def negligible(self) -> tuple[Finding, ...]:
-        """Effects that are likely and negligible, or not confirmed on held-out data."""
+    def not_confirmed(self) -> tuple[Finding, ...]:
+        """Effects that are likely, but that cross-validation does not confirm."""
         return self.diagnosis.not_confirmed if self.diagnosis else ()
 
     @property

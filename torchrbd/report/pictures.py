@@ -27,7 +27,14 @@ from torchrbd.report.inline import inline
 from torchrbd.report.maps import map_figure
 from torchrbd.report.text.numbers import number
 
-MODELS = {"urdf": "URDF", "rigid_body": "re-fitted rigid body", "extended": "extended model"}
+MODELS = {
+    "urdf": "URDF",
+    "baseline": "baseline (least squares with friction)",
+    "rigid_body": "re-fitted rigid body",
+    "extended": "extended model",
+}
+# Errors alone are shown of it.
+_NOT_DRAWN = "baseline"
 OTHER_SIGNALS = {
     "t": "time",
     "frequency": "frequency",
@@ -51,7 +58,7 @@ class Pictures:
     Attributes:
         joints, units, measured: names, units, and whether there is a torque, of each joint.
         models: those that were fitted, by id, in words.
-        drawn: those of which there is a torque against time; none where only second moments were at hand.
+        drawn: those whose torque is drawn against time; none where only second moments were at hand.
     """
 
     def __init__(self, result: Identification) -> None:
@@ -59,7 +66,7 @@ class Pictures:
         self.joints = list(self.series.joints)
         self.models = {m: label for m, label in MODELS.items() if m in result.fits}
         seen = len(self.series.t) > 0
-        self.drawn = [m for m in self.models if m in self.series.predicted and seen]
+        self.drawn = [m for m in self.models if m in self.series.predicted and seen and m != _NOT_DRAWN]
         names = list(result.robot.joint_names)
         prismatic = [bool(result.robot.prismatic[names.index(j)]) for j in self.joints]
         self.units = [Units("N", "m") if p else Units("N m", "rad") for p in prismatic]

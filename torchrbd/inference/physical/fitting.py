@@ -132,7 +132,7 @@ def fit_model(
     columns = statistics.columns
     term_columns = torch.tensor(sorted({k for c in terms for k in columns.of(c)}), dtype=torch.long)
     statistics = without_columns_at_rest(statistics)
-    totals, positive = statistics.total(), _positive(columns, terms)
+    totals, positive = statistics.total(), positive_columns(columns, terms)
     signs, all_signs = not_negative(columns, _may_be_none(terms)), not_negative(columns, terms)
     variance = first_noise_variance(statistics) if noise is None else noise
     if states is not None and noise is None:
@@ -173,7 +173,7 @@ def _estimate(prior: Prior, fit: PhysicalFit) -> tuple[Tensor, Tensor]:
     return fit.x, prior.scaled(prior.scaled(covariance).T)
 
 
-def _positive(columns: Columns, terms: Sequence[Candidate]) -> list[int]:
+def positive_columns(columns: Columns, terms: Sequence[Candidate]) -> list[int]:
     """Return the columns of coefficients that physics keeps above zero."""
     own = {c for c in terms if not isinstance(c, ShapeSlope)} - set(_may_be_none(terms))
     return sorted({columns.of(c)[i] for c in own for i in c.effect.prior.positive})

@@ -39,11 +39,6 @@ def _residual(one: Unexplained) -> str:
         size = with_unit(low if low == high else f"{low} to {high}", one.unit)
         tone = f"A vibration of {sizes['frequency']:.2f} Hz at {where}"
         return f"{tone} is unexplained{_inside(one)}; its amplitude is {size}."
-    if one.kind == "not confirmed":
-        return (
-            f"At {where}, the fitted data shows an effect with {percent(one.share)} of the residual's variance. "
-            "Held-out data does not confirm it."
-        )
     return _curve(one)
 
 
@@ -51,7 +46,7 @@ def _curve(one: Unexplained) -> str:
     where = joined(one.joints)
     torque = with_unit(number(one.sizes["torque_rms"]), one.unit) + " RMS" if "torque_rms" in one.sizes else ""
     size = f"A torque of {torque}" if torque else "A torque"
-    share = f" It is {percent(one.share)} of the residual on held-out data." if one.share >= DECISIONS.no_change else ""
+    share = f" It is {percent(one.share)} of the residual of left-out data." if one.share >= DECISIONS.no_change else ""
     words = f"{size} at {where} is unexplained{_inside(one)}.{share}"
     if one.depends_on:
         words += f" It depends on {joined(map(signal_words, one.depends_on))}"

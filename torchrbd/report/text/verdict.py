@@ -93,7 +93,7 @@ def diagnosis_statement(result: Diagnosis) -> str:
 
 
 def _head(result: Diagnosis) -> str:
-    """Return the headline, at most 25 words; what held-out data does not confirm is not in it."""
+    """Return the headline, at most 25 words."""
     model = model_words(result)
     if result.verdict == "suspect":
         return _suspect_head(result)
@@ -104,13 +104,10 @@ def _head(result: Diagnosis) -> str:
     if result.verdict == "unexplained":
         joints = at([j for u in result.unexplained for j in u.joints], (), _judged(result))
         return f"No known effect explains the residual{joints}."
-    confirmed = [f for f in result.findings if f.held_out]
-    likely = [f for f in confirmed if f.probability > DECISIONS.likely]
+    likely = [f for f in result.findings if f.probability > DECISIONS.likely]
     if likely:
         return f"The {model} {_missing(likely, _judged(result))}."
-    if confirmed:
-        return f"The {model} lacks an effect: {as_many_as_fit([_either(f) for f in confirmed], _WORDS)}."
-    return "The fitted data shows missing physics, but held-out data does not confirm it."
+    return f"The {model} lacks an effect: {as_many_as_fit([_either(f) for f in result.findings], _WORDS)}."
 
 
 def _more(result: Diagnosis) -> Iterable[str]:
@@ -128,8 +125,8 @@ def _more(result: Diagnosis) -> Iterable[str]:
         yield f"Re-fitting changes the mean NMSE on held-out data from {mean['urdf']} to {mean['rigid_body']}."
     else:
         yield (
-            f"The mean NMSE on held-out data is {mean['urdf']} with the {model}, {mean['rigid_body']} with the "
-            f"re-fitted rigid body and {mean['extended']} with the extended model."
+            f"The mean NMSE on held-out data is {mean['urdf']} with the {model}, {mean['baseline']} with least squares "
+            f"and friction, and {mean['extended']} with the extended model."
         )
     yield from _doubts(result)
 
@@ -146,9 +143,6 @@ def _doubts(result: Diagnosis) -> Iterable[str]:
     joints = [j for u in result.unexplained for j in u.joints]
     if joints and result.verdict != "unexplained":
         yield f"A residual at {all_or_some(joints, everywhere)} is unexplained."
-    if result.refuted:
-        yield "The effects found in the fitted data do not improve the prediction of held-out data."
-        yield "They are not in the model: they are small, or the robot, its load or its motion differed there."
     if result.next_effect is not None:
         terms = result.next_effect.terms
         only = f" in {result.next_effect.recording}" if result.next_effect.recording else ""
@@ -160,18 +154,21 @@ def _doubts(result: Diagnosis) -> Iterable[str]:
 
 
 def _held_out_errors(result: Diagnosis) -> Iterable[str]:
-    """Yield where held-out errors are larger than the rigid body's, or findings smaller than fitted."""
-    everywhere = any(not f.joints for f in result.findings)
-    joints = {joint for f in result.findings for joint in f.joints}
-    asked = [p for p in result.held_out_checks if everywhere or p.joint in joints]
-    worse = {p.joint: p.over["rigid_body"] for p in asked if p.over["rigid_body"].low > 1.0}
-    if worse:
+    """Yield where held-out errors are larger than the baseline's, or findings smaller than fitted."""
+    worse_than = {
+        words: {p.joint: p.over[model] for p in result.held_out_checks if p.over[model].low > 1.0}
+        for model, words in (("baseline", "least squares with friction"), ("urdf", f"the {model_words(result)}"))
+    }
+    for words, worse in worse_than.items():
+        if not worse:
+            continue
         sizes = [f"{j} ({number(r.value)} times, {number(r.low)} to {number(r.high)})" for j, r in worse.items()]
         yield (
-            "On held-out data the extended model's squared error exceeds that of the re-fitted rigid body at "
+            f"On held-out data the extended model's squared error exceeds that of {words} at "
             f"{as_many_as_fit(sizes, _MOST_NAMED)}."
         )
-    elif result.findings and result.held_out_ratio is not None and result.held_out_ratio.high < 1.0:
+    ratio = result.held_out_ratio
+    if not any(worse_than.values()) and result.findings and ratio is not None and ratio.high < 1.0:
         yield (
             "The findings are smaller on held-out data than fitted: the robot or its motion differed, or a finding is "
             "a proxy."
@@ -292,14 +289,14 @@ def part_left(ratio: Ratio) -> str:
 
 
 def worth(result: Diagnosis) -> str:
-    """Say in one line how large the extended model's error is relative to the rigid body's, where surely smaller."""
+    """Say in one line how large the extended model's error is relative to the baseline's, where surely smaller."""
     checks = result.held_out_checks if result.findings else ()
     if not checks:
         return ""
-    less = sorted(((p.over["rigid_body"], p.joint) for p in checks), key=lambda pair: pair[0].value)
+    less = sorted(((p.over["baseline"], p.joint) for p in checks), key=lambda pair: pair[0].value)
     less = [(ratio, joint) for ratio, joint in less if ratio.high < 1.0]
     if not less:
-        return "The extended model does not predict any joint significantly better than the re-fitted rigid body."
+        return "The extended model does not predict any joint significantly better than least squares with friction."
     if len(less) <= _MOST_NAMED:
         words = joined(f"{part_left(ratio)} at {joint}" for ratio, joint in less)
     else:
@@ -307,4 +304,4 @@ def worth(result: Diagnosis) -> str:
         words = (
             f"{part_left(best)} at {first} to {part_left(worst)} at {last}; less at {len(less)} of {len(checks)} joints"
         )
-    return f"Squared error on held-out data relative to the re-fitted rigid body, with 95 % intervals: {words}."
+    return f"Squared error on held-out data relative to least squares with friction, with 95 % intervals: {words}."

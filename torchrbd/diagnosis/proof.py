@@ -1,0 +1,163 @@
+"""Proof: does a term predict time that its fit has not seen, by more than chance allows, and enough to be named?
+
+Blocks of the fitted time are left out in turn, eight folds of neighbours. With the squared error E_bj of block b at
+joint j, and s_j^2 its mean with the term,
+
+    elpd = sum_b d_b,   d_b = sum_j (E_bj(without) - E_bj(with)) / (2 s_j^2),   se = std(d_b) sqrt(B)
+
+A term is proven if its elpd exceeds its standard error, and if it is not practically equivalent to nothing, see
+``Elpd``. Others are left out of the model one after the other, the least useful first: the model is the smallest whose
+elpd is within a standard error of the best. Held-out recordings have no part in this.
+
+Source: Breiman, Friedman, Olshen, Stone, "Classification and Regression Trees" (1984), ch. 3.4.3 (one standard error);
+    Vehtari, Gelman, Gabry, "Practical Bayesian model evaluation using leave-one-out cross-validation", Statistics and
+    Computing 2017 (paired differences); Kruschke, "Rejecting or Accepting Parameter Values in Bayesian Estimation",
+    AMPPS 2018 (region of practical equivalence).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrbd.dataset.columns import Candidate
+from torchrbd.diagnosis.curve_hypotheses import has_friction, is_curve
+from torchrbd.diagnosis.final_model import FinalModel, with_curves
+from torchrbd.diagnosis.refitted_models import RefittedModels, acts_in
+from torchrbd.diagnosis.results import Elpd
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.leave_out import FOLDS, contiguous_folds, left_out_fits
+from torchrbd.inference.preparation import Prepared
+
+# Below so many blocks nothing can be left out.
+_LEAST_BLOCKS = 2
+
+
+class Proof:
+    """What terms of a model are worth on left-out blocks, and how much torque they carry while they act.
+
+    Args:
+        extended: the model.
+    """
+
+    def __init__(self, extended: FinalModel) -> None:
+        self.fits, self._model, self._prepared = RefittedModels(extended), extended.model, extended.prepared
+        self._curves = [term for term in extended.terms if has_friction(term)]
+        self._blocks, self._errors = self._prepared.judging_fitted, dict[tuple[object, ...], Tensor]()
+
+    def elpd(self, term: Candidate, gone: Sequence[Candidate] = ()) -> Elpd:
+        """Return what a term is worth in the model without those that are gone."""
+        inside, fold = self._folds(term)
+        if len(fold.unique()) - int(bool((fold < 0).any())) < _LEAST_BLOCKS:
+            return Elpd(0.0, 0.0, 0.0, 0.0)
+        before, after = (self._left_out(g, term, fold)[inside].numpy() for g in ([*gone, term], gone))
+        samples = self._blocks.torque[inside, :, 0].numpy()
+        return elpd_of(before, after, samples, self._carried(term, gone, inside), term.place)
+
+    def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
+        """Return the torque of a term over that of its joint while it acts, RMS, at the joint where that is largest."""
+        model = self._model if has_friction(term) else self.fits.given_shapes(gone)
+        x, without = model.x, model.x.index_fill(0, torch.tensor(model.columns.of(term)), 0.0)
+        blocks = self._blocks.select(inside)
+        power = blocks.added(x, without)[1].sum(0)
+        torque = blocks.torque[..., 2].sum(0)
+        return math.sqrt(float((power / torque.clamp_min(1e-300))[torque > 0].max().clamp_min(0.0)))
+
+    def _folds(self, term: Candidate) -> tuple[Tensor, Tensor]:
+        """Return in which blocks a term acts, (B,) bool, and their folds, (B,), below zero where none is left out.
+
+        What acts for a time is only there to be fitted: each of its blocks is left out by itself.
+        """
+        inside = torch.tensor([acts_in(block, term.site) for block in self._blocks.blocks])
+        n, fold = int(inside.sum()), torch.full((len(inside),), -1)
+        fold[inside] = contiguous_folds(n, n if term.site.window is not None else FOLDS)
+        return inside, fold
+
+    def _left_out(self, gone: Sequence[Candidate], term: Candidate, fold: Tensor) -> Tensor:
+        """Return the squared errors (B, n_dof) of blocks by fits without their folds.
+
+        Curves that could be a proxy for friction are in the model where one of them is judged: they are fitted to what
+        all else leaves.
+        """
+        curves = [c for c in self._curves if c not in gone] if has_friction(term) else []
+        key = frozenset(gone), frozenset(curves), term.site.window, term.site.recordings
+        if key not in self._errors:
+            errors, prepared = (
+                torch.zeros(fold.shape[0], len(self._blocks.moments), dtype=torch.float64),
+                self._prepared,
+            )
+            fitted, model = torch.nonzero(~prepared.held_out)[:, 0], self.fits.given_shapes(gone)
+            for out, x in left_out_fits(model, prepared, fold):
+                if curves:
+                    rest = replace(prepared, held_out=prepared.held_out.index_fill(0, fitted[out], True))
+                    x = with_curves(rest, replace(model, x=x, scatter=None), curves).x
+                errors[out] = self._blocks.select(out).squared_error(x)
+            self._errors[key] = errors
+        return self._errors[key]
+
+
+def elpd_of(
+    before: np.ndarray, after: np.ndarray, samples: np.ndarray, torque_share: float, place: int | None = None
+) -> Elpd:
+    """Return the gain of a model over another one.
+
+    Args:
+        before, after: (B, n_dof) squared errors of the other model and of this one, [(N m)^2] or [N^2].
+        samples: (B, n_dof) numbers of independent samples.
+        torque_share: part of the torque that the difference carries.
+        place: the joint whose share of error counts. Default: all.
+    """
+    variance = after.sum(0) / np.maximum(samples.sum(0), 1e-300)
+    seen = (samples.sum(0) > 0) & (variance > 0)
+    d = ((before - after)[:, seen] / (2.0 * variance[seen])).sum(1)
+    own = seen if place is None else seen & (np.arange(len(seen)) == place)
+    shares = 1.0 - after[:, own].sum(0) / np.maximum(before[:, own].sum(0), 1e-300)
+    se = float(np.std(d, ddof=1)) * math.sqrt(len(d))
+    return Elpd(float(d.sum()), se, float(shares.max(initial=-math.inf)), torque_share)
+
+
+def elpd_of_rows(
+    before: np.ndarray,
+    after: np.ndarray,
+    recording: np.ndarray,
+    t: np.ndarray,
+    counted: np.ndarray,
+    torque_share: float,
+) -> Elpd:
+    """Return the same of torque residuals (M, n_dof) at times t (M,) of recordings, in blocks of a second."""
+    block = np.unique(np.stack((recording, np.floor(t)), 1)[counted], axis=0, return_inverse=True)[1].ravel()
+    seen = np.isfinite(before[counted])
+
+    def sums(of_rows: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(block, column) for column in np.where(seen, of_rows, 0.0).T], 1)
+
+    return elpd_of(sums(before[counted] ** 2), sums(after[counted] ** 2), sums(np.ones(seen.shape)), torque_share)
+
+
+def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
+    """Say whether left-out blocks are predicted no better than by a constant, in the mean over the joints."""
+    blocks = prepared.judging_fitted
+    errors = torch.zeros(len(blocks.moments), dtype=torch.float64)
+    for out, x in left_out_fits(model, prepared, contiguous_folds(len(blocks), FOLDS)):
+        errors += blocks.select(out).squared_error(x).sum(0)
+    constant = blocks.torque_variance() * blocks.torque[..., 0].sum(0)
+    seen = constant > 0
+    return bool(seen.any()) and float((errors[seen] / constant[seen]).mean()) > 1.0
+
+
+def unproven(proof: Proof, terms: Sequence[Candidate]) -> dict[Candidate, Elpd]:
+    """Return the terms that a model does not need, in the order in which they were left out, and their worth then."""
+    gone = dict[Candidate, Elpd]()
+    while True:
+        each = {term: proof.elpd(term, [*gone]) for term in terms if term not in gone}
+        # A curve has no name: it need only predict better.
+        needless = [term for term, elpd in each.items() if not (elpd.certain if is_curve(term) else elpd.proven)]
+        if not needless:
+            return gone
+        first = min(needless, key=lambda term: each[term].value)
+        gone[first] = each[first]
