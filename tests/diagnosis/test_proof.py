@@ -165,12 +165,12 @@ def test_blocks_are_predicted_as_by_fits_that_are_repeated(there: bool, drag: Fi
 
 
 def test_what_carries_next_to_nothing_has_no_name() -> None:
-    """It is nearly all that is left, and half a thousandth of the joint's torque."""
-    small = with_laws([DRAG], at_joint(0, lambda m: 0.0005 * dragged(m)), noise=1e-4)
+    """It is a quarter of what is left, and half a thousandth of the joint's torque."""
+    small = with_laws([DRAG], at_joint(0, lambda m: 0.0005 * dragged(m)), noise=1e-5)
     proof, (term,) = Proof(small), small.terms
     one = proof.elpd(term)
     assert one.certain
-    assert one.share > 0.9
+    assert one.share > 0.2
     assert 0.0004 < one.torque_share < DECISIONS.least_torque
     assert unproven(proof, [term]) == {term: one}
     found = explain(small)

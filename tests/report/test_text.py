@@ -313,11 +313,12 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
     [
         (Elpd(40.0, 5.0, 0.8, 0.3), ""),
         (Elpd(2.0, 5.0, 0.8, 0.3),
-         " Cross-validation does not confirm it: the gain of log predictive density is 2 ± 5 nats."),
+         " Cross-validation does not confirm it: the gain of log predictive density is 2.00 nats, its standard "
+         "error 5.00."),
         (Elpd(0.0, 0.0, 0.0, 0.0),
-         " Cross-validation does not confirm it: the gain of log predictive density is none."),
-        (Elpd(40.0, 5.0, 0.8, 0.004),
-         " It is negligible: 80 % of the squared error of left-out blocks, 0.4 % of the torque."),
+         " Cross-validation does not confirm it: the gain of log predictive density is unknown."),
+        (Elpd(40.0, 5.0, 0.8, 0.0004),
+         " It is negligible: 80 % of the squared error of left-out blocks, 0.04 % of the torque."),
         (Elpd(40.0, 5.0, 0.012, 0.3),
          " It is negligible: 1.2 % of the squared error of left-out blocks, 30 % of the torque."),
     ],

@@ -48,6 +48,7 @@ class Proof:
     def __init__(self, extended: FinalModel) -> None:
         self.fits, self._model, self._prepared = RefittedModels(extended), extended.model, extended.prepared
         self._curves = [term for term in extended.terms if has_friction(term)]
+        self._brief = [term for term in extended.terms if term.site.window is not None]
         self._blocks, self._errors = self._prepared.judging_fitted, dict[tuple[object, ...], Tensor]()
 
     def elpd(self, term: Candidate, gone: Sequence[Candidate] = ()) -> Elpd:
@@ -71,12 +72,20 @@ class Proof:
     def _folds(self, term: Candidate) -> tuple[Tensor, Tensor]:
         """Return in which blocks a term acts, (B,) bool, and their folds, (B,), below zero where none is left out.
 
-        What acts for a time is only there to be fitted: each of its blocks is left out by itself.
+        What acts for a time is only there to be fitted: each of its blocks is left out by itself. Where other terms are
+        judged, such blocks are spread over the folds, so that a part of them is always fitted.
         """
-        inside = torch.tensor([acts_in(block, term.site) for block in self._blocks.blocks])
+        inside = self._acting(term)
         n, fold = int(inside.sum()), torch.full((len(inside),), -1)
         fold[inside] = contiguous_folds(n, n if term.site.window is not None else FOLDS)
+        if term.site.window is None:
+            for brief in self._brief:
+                own = inside & self._acting(brief)
+                fold[own] = torch.arange(int(own.sum())) % FOLDS
         return inside, fold
+
+    def _acting(self, term: Candidate) -> Tensor:
+        return torch.tensor([acts_in(block, term.site) for block in self._blocks.blocks])
 
     def _left_out(self, gone: Sequence[Candidate], term: Candidate, fold: Tensor) -> Tensor:
         """Return the squared errors (B, n_dof) of blocks by fits without their folds.
