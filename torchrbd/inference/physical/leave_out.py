@@ -28,6 +28,7 @@ from torchrbd.parameters import PARAMETERS_PER_BODY
 from torchrbd.robot import pseudo_inertia
 
 FOLDS = 8
+# Longest step of a body that is short against the barrier.
 _SHORT = 0.5
 
 
