@@ -1,13 +1,13 @@
 """Proof: does a term predict time that its fit has not seen, by more than chance allows, and enough to be named?
 
 Blocks of the fitted time are left out in turn, eight folds of neighbours. With the squared error E_bj of block b at
-joint j, and s_j^2 its mean with the term,
+joint j, and s_j^2 its mean over independent samples with the term,
 
     elpd = sum_b d_b,   d_b = sum_j (E_bj(without) - E_bj(with)) / (2 s_j^2),   se = std(d_b) sqrt(B)
 
 A term is proven if its elpd exceeds its standard error, and if it is not practically equivalent to nothing, see
-``Elpd``. Others are left out of the model one after the other, the least useful first: the model is the smallest whose
-elpd is within a standard error of the best. Held-out recordings have no part in this.
+``Elpd``. Others are left out of the model one at a time, the least useful first, so that each term that remains is
+proven given the others. Held-out recordings have no part in this.
 
 Source: Breiman, Friedman, Olshen, Stone, "Classification and Regression Trees" (1984), ch. 3.4.3 (one standard error);
     Vehtari, Gelman, Gabry, "Practical Bayesian model evaluation using leave-one-out cross-validation", Statistics and

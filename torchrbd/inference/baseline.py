@@ -28,10 +28,10 @@ from torchrbd.model import RigidBodyDynamics, known_terms
 
 
 def fit_baseline(prepared: Prepared) -> RigidBodyDynamics:
-    """Fit the baseline to the blocks that are not held out, in another pass over the recordings.
+    """Fit the baseline to the blocks that are not held out; reads the recordings again.
 
     Args:
-        prepared: the data; whatever a model knows of clocks, sticking joints or smoothed states is not used.
+        prepared: the data. Clock delays, sticking and smoothed states in it are ignored.
     """
     reading = replace(prepared.reading, smoothed=(), delay_s={}, lag_s={})
     columns = Columns(prepared.robot, map(effect, PLAIN), covered_scales(reading.surveys, reading.filtering))

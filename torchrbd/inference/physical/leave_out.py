@@ -1,13 +1,13 @@
 """Fits without some blocks of time, in closed form: what cross-validation takes.
 
 A fold f of the blocks adds H_f = A_f'W A_f to the precision of a fit, C^-1, and the score g_f = A_f'W (tau_f - A_f x)
-to a gradient that is zero in total. Without the fold, the fit is one Newton step away:
+to a gradient that is zero in total. Without the fold, the fit is about one Newton step away:
 
     x_f = x - (C^-1 - H_f)^-1 g_f = x - (1 - C H_f)^-1 C g_f
 
-C^-1 includes the curvature of the prior and of the inertias' barrier. The objective is quadratic but for that barrier
-and for coefficients that cannot be negative. The fit is repeated without the fold where a step makes one of these
-negative, or is not short against the barrier: |J^-1/2 dJ J^-1/2| > 1/2 for the pseudo-inertia J of a body.
+C^-1 includes the curvature of the prior and of the inertias' barrier. The objective is quadratic except for that
+barrier and for coefficients that cannot be negative. The fit is repeated without the fold where a step makes one of
+these negative, or changes a body too much: |J^-1/2 dJ J^-1/2| > 1/2 for the pseudo-inertia J of a body.
 
 Source: Cook, Weisberg, "Residuals and Influence in Regression" (1982), ch. 2; Beirami, Razaviyayn, Shahrampour, Tarokh,
     "On Optimal Generalizability in Parametric Learning", NeurIPS 2017, for penalties that are not quadratic.
@@ -57,7 +57,7 @@ def _without(model: FittedModel, training: BlockStatistics, gone: Tensor) -> Ten
 
 
 def _has_signs(x: Tensor, model: FittedModel) -> bool:
-    """Say whether coefficients x (n,) that cannot be negative are not."""
+    """Return whether all sign-constrained coefficients of x (n,) are zero or more."""
     signs = not_negative(model.columns, model.terms)
     return bool((signs @ x >= 0.0).all()) and bool((x[positive_columns(model.columns, model.terms)] >= 0.0).all())
 
