@@ -34,12 +34,15 @@ def quiet(*_: object) -> None:
     """Tell nobody how far the work is."""
 
 
-def searched(torque: Callable | None) -> tuple[SearchOutcome, Callable[[SearchOutcome], FinalModel]]:
-    """Return what is found in one recording, another one held out, and what makes a model of an explanation."""
+def searched(
+    torque: Callable | None, *others: Callable | None
+) -> tuple[SearchOutcome, Callable[[SearchOutcome], FinalModel]]:
+    """Return what is found in a recording, and others, one held out, and what makes a model of an explanation."""
     first = recorded(URDF, 2, with_friction(torque), name="first", **OPTIONS)
     second = recorded(URDF, 3, with_friction(), name="second", **{**OPTIONS, "duration_s": 10.0})
+    more = [recorded(URDF, 4 + k, with_friction(t), name=f"more {k}", **OPTIONS) for k, t in enumerate(others)]
     settings = Settings.from_mapping({"effects": MAY, "holdout": [second]}, "test")
-    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [first], settings, ())
+    prepared = prepare(RobotModel.from_urdf(with_wrong_inertials(URDF, 1, 0.1)), [first, *more], settings, ())
     ranked = ranking.run_search(prepared.reading, settings, prepared.kept_back, quiet)
     prepared = with_machine(prepared, settings, friction_of(settings), quiet, ranked.clocks)
     return ranked.explanation, lambda found: fit_final_model(prepared, found, MAY, quiet)

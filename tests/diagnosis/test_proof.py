@@ -244,6 +244,21 @@ def test_what_acts_for_a_time_is_cross_validated_there(loaded: bool) -> None:
         assert one.torque_share == pytest.approx((sizes[0] / sizes[1]).max(), rel=0.2)
 
 
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_what_acts_in_one_recording_must_not_make_others_worse(everywhere: bool) -> None:
+    """A load that all recordings have at the same time is no load of one: the bodies would lack it in the others."""
+    found, model_of = searched(payload, *([payload, payload] if everywhere else [None, None]))
+    model = model_of(told(found, Window("first", BEGIN_S)))
+    proof, (term,) = Proof(model), model.terms
+    blocks = model.prepared.judging_fitted.blocks
+    inside = [[k] for k, block in enumerate(blocks) if acts_in(block, term.site)]
+    others = [[k for k, block in enumerate(blocks) if block.recording == name] for name in ("more 0", "more 1")]
+    one = proof.elpd(term)
+    assert_alike(one, replace(repeated(model, term, [*inside, *others]), share=one.share))
+    assert one.share > 0.5
+    assert one.proven is not everywhere
+
+
 def test_a_time_of_one_block_proves_nothing() -> None:
     found, model_of = searched(None)
     brief = model_of(told(found, Window("first", 5.1, 5.4)))

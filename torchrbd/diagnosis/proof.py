@@ -54,11 +54,14 @@ class Proof:
     def elpd(self, term: Candidate, gone: Sequence[Candidate] = ()) -> Elpd:
         """Return what a term is worth in the model without those that are gone."""
         inside, fold = self._folds(term)
-        if len(fold.unique()) - int(bool((fold < 0).any())) < _LEAST_BLOCKS:
+        if len(fold[inside].unique()) < _LEAST_BLOCKS:
             return Elpd(0.0, 0.0, 0.0, 0.0)
-        before, after = (self._left_out(g, term, fold)[inside].numpy() for g in ([*gone, term], gone))
-        samples = self._blocks.torque[inside, :, 0].numpy()
-        return elpd_of(before, after, samples, self._carried(term, gone, inside), term.place)
+        before, after = (self._left_out(g, term, fold).numpy() for g in ([*gone, term], gone))
+        samples, judged = self._blocks.torque[..., 0].numpy(), (fold >= 0).numpy()
+        carried, own = self._carried(term, gone, inside), inside.numpy()
+        there = elpd_of(before[own], after[own], samples[own], carried, term.place)
+        every = elpd_of(before[judged], after[judged], samples[judged], carried, term.place)
+        return replace(every, share=there.share)
 
     def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
         """Return the torque of a term over that of its joint while it acts, RMS, at the joint where that is largest."""
@@ -72,8 +75,10 @@ class Proof:
     def _folds(self, term: Candidate) -> tuple[Tensor, Tensor]:
         """Return in which blocks a term acts, (B,) bool, and their folds, (B,), below zero where none is left out.
 
-        What acts for a time is only there to be fitted: each of its blocks is left out by itself. Where other terms are
-        judged, such blocks are spread over the folds, so that a part of them is always fitted.
+        What acts for a time is only there to be fitted: each of its blocks is left out by itself. What acts in some
+        recordings only must not make others worse: each other recording is left out as a whole, so that nothing is known
+        of what acts there for a time. Where other terms are judged, blocks of what acts for a time are spread over the
+        folds, so that a part of them is always fitted.
         """
         inside = self._acting(term)
         n, fold = int(inside.sum()), torch.full((len(inside),), -1)
@@ -82,6 +87,11 @@ class Proof:
             for brief in self._brief:
                 own = inside & self._acting(brief)
                 fold[own] = torch.arange(int(own.sum())) % FOLDS
+        if not term.site.always:
+            names = [block.recording for block in self._blocks.blocks]
+            here = {name for name, own in zip(names, inside.tolist(), strict=True) if own}
+            for k, other in enumerate(dict.fromkeys(name for name in names if name not in here)):
+                fold[torch.tensor([name == other for name in names])] = n + k
         return inside, fold
 
     def _acting(self, term: Candidate) -> Tensor:
