@@ -76,8 +76,8 @@ class Proof:
         """Return in which blocks a term acts, (B,) bool, and their folds, (B,), below zero where none is left out.
 
         What acts for a time is only there to be fitted: each of its blocks is left out by itself. What acts in some
-        recordings only must not make others worse: each other recording is left out as a whole, so that nothing is known
-        of what acts there for a time. Where other terms are judged, blocks of what acts for a time are spread over the
+        recordings must not make others worse: each other recording is left out as a whole, so that nothing is known of
+        what acts there for a time. Where other terms are judged, blocks of what acts for a time are spread over the
         folds, so that a part of them is always fitted.
         """
         inside = self._acting(term)
