@@ -106,11 +106,9 @@ class Proof:
         curves = [c for c in self._curves if c not in gone] if has_friction(term) else []
         key = frozenset(gone), frozenset(curves), term.site.window, term.site.recordings
         if key not in self._errors:
-            errors, prepared = (
-                torch.zeros(fold.shape[0], len(self._blocks.moments), dtype=torch.float64),
-                self._prepared,
-            )
-            fitted, model = torch.nonzero(~prepared.held_out)[:, 0], self.fits.given_shapes(gone)
+            prepared, model = self._prepared, self.fits.given_shapes(gone)
+            errors = torch.zeros(len(fold), len(self._blocks.moments), dtype=torch.float64)
+            fitted = torch.nonzero(~prepared.held_out)[:, 0]
             for out, x in left_out_fits(model, prepared, fold):
                 if curves:
                     rest = replace(prepared, held_out=prepared.held_out.index_fill(0, fitted[out], True))
