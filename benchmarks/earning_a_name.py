@@ -1,7 +1,8 @@
 """What earns a name? Scores of hypotheses that a search adopts or likes, true and false.
 
-    python -m benchmarks.concealed generate --tiers raw field null --count 24 --seed 6401 -o DIR
-    TORCHRBD_DATA=/path/to/recordings python -m benchmarks.earning_a_name DIR
+    python -m benchmarks.concealed generate --set development --tiers raw --count 48 --seed 6401 -o RAW
+    python -m benchmarks.concealed generate --set development --tiers field null --count 12 --seed 6402 -o FIELD
+    TORCHRBD_DATA=/path/to/recordings python benchmarks/earning_a_name.py RAW FIELD --every 3 -j 2
 
 Writes ``benchmarks/results/earning_a_name.json``. Of each recording the adopted hypotheses and the ten likeliest others
 are scored by
@@ -23,17 +24,18 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from rich.progress import track
 
 import torchrbd
-from benchmarks import against_least_squares as real
-from benchmarks import results_file
 from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.evidence import ModelEvidence
@@ -48,9 +50,15 @@ from torchrbd.effects.registry import effect
 from torchrbd.inference.physical.fitting import judge
 from torchrbd.likelihood.likelihood import Likelihood
 
-from .concealed.matching import judge as matched
-from .concealed.matching import relation
-from .concealed.run import recordings
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import against_least_squares as real
+import results_file
+
+from benchmarks.concealed.matching import judge as matched
+from benchmarks.concealed.matching import relation
+from benchmarks.concealed.run import recordings
+from benchmarks.concealed.workers import workers
 
 LEADING, ALIKE = 10, 3.0
 USEFUL = 0.05
@@ -249,32 +257,42 @@ def counted(simulated: Sequence[tuple[Scored, bool]], machines: Sequence[Scored]
     return {"of": {**of, "useful": len(useful), "useless": len(useless)}, "rules": rules, "area": scores}
 
 
+def of_case(case: Path) -> list[Scored]:
+    """Return the scores of the hypotheses of a simulated case."""
+    fit, holdout = recordings(case)
+    return hypotheses(case / "robot.urdf", fit, holdout=holdout)
+
+
+def of_machine(name: str) -> list[Scored]:
+    """Return the scores of what is adopted on a real data set."""
+    folder, chosen = Path(os.environ["TORCHRBD_DATA"]) / name, real.SETS[name]
+    fit, holdout = real.recordings_of(name, folder)
+    found = hypotheses(folder / chosen.urdf, fit, holdout=holdout, cutoff_hz=chosen.cutoff_hz)
+    return [one for one in found if one.adopted]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Score all cases and real sets, and write the result file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="*", type=Path, help="of concealed cases")
+    parser.add_argument("folders", nargs="*", type=Path, help="of concealed cases: RAW, FIELD")
     parser.add_argument("--real", nargs="*", default=list(real.SETS), help="real sets")
     parser.add_argument("--every", type=int, default=1, help="take every so manyth case")
+    parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
     asked = parser.parse_args(arguments)
-    torch.set_num_threads(1)
-    simulated, machines = list[tuple[Scored, bool]](), list[Scored]()
     cases = [case for folder in asked.folders for case in sorted((folder / "cases").iterdir())[:: asked.every]]
-    for k, case in enumerate(cases):
-        fit, holdout = recordings(case)
+    with workers(asked.jobs, partial(torch.set_num_threads, 1)) as pool:
+        slow = [pool.submit(of_machine, name) for name in asked.real]
+        quick = [pool.submit(of_case, case) for case in cases]
+        for _ in track(as_completed([*slow, *quick]), total=len(cases) + len(asked.real)):
+            pass
+    simulated = list[tuple[Scored, bool]]()
+    for case, one in zip(cases, quick, strict=True):
         truth = json.loads((case.parents[1] / "truth" / f"{case.name}.json").read_text())
-        simulated += labelled(hypotheses(case / "robot.urdf", fit, holdout=holdout), truth)
-        print(f"{k + 1} of {len(cases)}: {case.name}", file=sys.stderr, flush=True)
-    for name in asked.real:
-        folder = Path(os.environ["TORCHRBD_DATA"]) / name
-        fit, holdout = real.recordings_of(name, folder)
-        options = {"holdout": holdout, "cutoff_hz": real.SETS[name].cutoff_hz}
-        machines += [one for one in hypotheses(folder / real.SETS[name].urdf, fit, **options) if one.adopted]
-        print(name, file=sys.stderr, flush=True)
+        simulated += labelled(one.result(), truth)
+    machines = [h for one in slow for h in one.result()]
     entry = {"cases": len(cases), "real": asked.real, **counted(simulated, machines)}
-    words = " ".join(
-        ["python -m benchmarks.earning_a_name DIR", *(["--every", str(asked.every)] if asked.every > 1 else [])]
-    )
-    results_file.update("earning_a_name", words, {"all": entry})
+    command = f"python benchmarks/earning_a_name.py RAW FIELD --every {asked.every} (see there for RAW and FIELD)"
+    results_file.update("earning_a_name", command, {"all": entry})
 
 
 if __name__ == "__main__":

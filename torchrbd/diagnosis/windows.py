@@ -36,7 +36,7 @@ _MOST_RECORDINGS = 8
 
 
 PlaceFilter = Callable[[Effect, Site], bool]
-"""Says whether to look for an effect at a site. A window is its whole recording; ``()`` stands for some recordings."""
+"""Says whether to look for an effect at a site. A window is its whole recording; ``()`` means some recordings."""
 
 
 def anywhere(effect: Effect, site: Site) -> bool:
