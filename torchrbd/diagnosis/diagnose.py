@@ -17,7 +17,7 @@ from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.held_out_checks import held_out_checks, held_out_ratio
 from torchrbd.diagnosis.localisation import locate
 from torchrbd.diagnosis.posterior import refit_matters
-from torchrbd.diagnosis.proof import tells_nothing
+from torchrbd.diagnosis.proof import predicts_nothing
 from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.simplifying import simplified
@@ -120,7 +120,9 @@ def diagnose(
     progress("fitting what was found", 0.0)
     model = simplified(fit_final_model(prepared, found, may, progress), prepared, may, progress)
     found = model.found
-    if tells_nothing(model.prepared, model.model) and tells_nothing(asked, asked.fit(asked.columns.urdf_friction)):
+    if predicts_nothing(model.prepared, model.model) and predicts_nothing(
+        asked, asked.fit(asked.columns.urdf_friction)
+    ):
         return suspect(asked, settings, progress, suspected, search.ranking)
     explained = explain(model)
     findings, not_confirmed, model = explained.findings, explained.not_confirmed, explained.model

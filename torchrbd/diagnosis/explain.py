@@ -68,7 +68,9 @@ def explain(extended: FinalModel) -> Explained:
     proof = Proof(extended)
     likely = dict(_terms_and_findings(extended))
     gone = unproven(proof, [term for term in extended.terms if term.effect is not HUM])
-    dropped = [replace(likely[term], elpd=elpd) for term, elpd in gone.items() if term in likely]
+    dropped = [
+        _judged(term, replace(likely[term], elpd=elpd), proof.fits) for term, elpd in gone.items() if term in likely
+    ]
     if gone:
         extended = extended.without(gone)
         proof = Proof(extended)

@@ -156,7 +156,7 @@ def elpd_of_rows(
     return elpd_of(sums(before[counted] ** 2), sums(after[counted] ** 2), sums(np.ones(seen.shape)), torque_share)
 
 
-def tells_nothing(prepared: Prepared, model: FittedModel) -> bool:
+def predicts_nothing(prepared: Prepared, model: FittedModel) -> bool:
     """Say whether left-out blocks are predicted no better than by a constant, in the mean over the joints."""
     blocks = prepared.judging_fitted
     errors = torch.zeros(len(blocks.moments), dtype=torch.float64)

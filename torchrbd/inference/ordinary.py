@@ -14,7 +14,7 @@ from dataclasses import replace
 import torch
 
 from torchrbd.dataset.band import band_hz
-from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.reading import Progress
 from torchrbd.dataset.rows import not_held_out
 from torchrbd.effects import Effect, JointScale, effect
@@ -24,6 +24,7 @@ from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
+from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.model import OTHERS
@@ -45,7 +46,7 @@ def with_machine(
     effects: Sequence[Effect],
     progress: Progress,
     known: Clocks | None = None,
-    terms: Sequence[Candidate] = (),
+    laws: Sequence[Candidate] = (),
 ) -> Prepared:
     """Return the same data with clocks and sign changes of friction as the likelihood has them.
 
@@ -57,7 +58,7 @@ def with_machine(
         effects: that are fitted.
         progress: called with the stage and the part of it that is done.
         known: clocks and likelihood in the wide band, if they have been learnt.
-        terms: laws of friction that refine it, in that likelihood.
+        laws: of friction that refine it, in that likelihood.
     """
     frictionless = not any(e.is_baseline for e in effects)
     if prepared.states is not None or (known is None and frictionless):
@@ -73,20 +74,12 @@ def with_machine(
     prepared = replace(prepared, reading=reading, late=late)
     # High frequencies may give a width that low ones contradict: each joint gets the width with the smaller residual.
     narrow = prepared.columns.scales
-    friction = tuple(e.id for e in effects if e.is_baseline)
-
-    def left(scales: Sequence[JointScale], terms: Sequence[Candidate]) -> torch.Tensor:
-        columns = prepared.columns.at_scales(scales).unweighted
-        others = [columns.candidate(c.effect, c.site, c.shape) for c in terms]
-        if others and known is not None:
-            supplied = known.fit.around_its_fit(alone=True)
-            columns = columns.of_candidates((*columns.candidates, *others), supplied.pi, supplied.friction)
-        return _left(prepared, columns, (*term_candidates(columns, friction), *others), held)
-
-    better = left(wide, ()) < left(narrow, ())
-    if terms:
-        refined = torch.tensor([any(c.site.joint == j for c in terms) for j in range(len(narrow))])
-        better = torch.where(refined, left(wide, terms) < left(narrow, terms), better)
+    better = _left(prepared, wide, effects, held) < _left(prepared, narrow, effects, held)
+    if laws and known is not None:
+        refined = torch.tensor([any(c.site.joint == j for c in laws) for j in range(len(narrow))])
+        given = laws, known.fit
+        with_laws = _left(prepared, wide, effects, held, *given) < _left(prepared, narrow, effects, held, *given)
+        better = torch.where(refined, with_laws, better)
     scales = [new if less else old for old, new, less in zip(narrow, wide, better.tolist(), strict=True)]
     columns = prepared.columns.softened(scales)
     statistics = reading.statistics(columns, progress)
@@ -94,9 +87,31 @@ def with_machine(
     return replace(prepared, columns=columns, statistics=statistics, prior=prior)
 
 
-def _left(prepared: Prepared, columns: Columns, terms: Sequence[Candidate], held: frozenset[str]) -> torch.Tensor:
-    """Return the squared errors (n_dof,) that least squares leaves with some terms, all samples counting alike."""
+def _left(
+    prepared: Prepared,
+    scales: Sequence[JointScale],
+    effects: Sequence[Effect],
+    held: frozenset[str],
+    laws: Sequence[Candidate] = (),
+    known: Likelihood | None = None,
+) -> torch.Tensor:
+    """Return the squared errors (n_dof,) that least squares leaves with such scales, all samples counting alike.
+
+    Args:
+        prepared: the data.
+        scales: of the joints.
+        effects: of which baseline friction is fitted.
+        held: bodies that are not fitted.
+        laws: of friction that are fitted too.
+        known: whose load and friction these depend on.
+    """
+    columns = prepared.columns.at_scales(scales).unweighted
+    own = [columns.candidate(c.effect, c.site, c.shape) for c in laws]
+    if known is not None:
+        supplied = known.around_its_fit(alone=True)
+        columns = columns.of_candidates((*columns.candidates, *own), supplied.pi, supplied.friction)
     training = prepared.reading.statistics(columns, lambda *_: None).together(~prepared.held_out)
+    terms = (*term_candidates(columns, [e.id for e in effects if e.is_baseline]), *own)
     fit = fit_model(training, data_prior(training, held, prepared.prior.kappa), terms)
     return training.squared_error(fit.x).sum(0)
 
