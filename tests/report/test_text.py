@@ -15,6 +15,7 @@ from torchrbd.diagnosis.results import (
     Alternative,
     Elpd,
     Finding,
+    HeldOutCheck,
     NextEffect,
     Quantity,
     Ratio,
@@ -354,3 +355,13 @@ def test_times_have_open_ends_and_units() -> None:
     assert when(Where()) == ""
     spans = Where(None, ((-math.inf, 3.0), (7.25, math.inf)), (Region("q_joint1", -1.0, 2.0),))
     assert when(spans, {"q_joint1": "rad"}) == "until 3.0 s, from 7.2 s on, q_joint1 from −1 to 2 rad"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"), [(Ratio(1.3, 1.1, 1.6), True), (Ratio(1.01, 1.005, 1.02), False), (Ratio(1.3, 0.9, 1.6), False)]
+)
+def test_errors_above_the_baseline_are_said_if_they_are_certain_and_count(ratio: Ratio, said: bool) -> None:
+    less = Ratio(0.1, 0.05, 0.2)
+    check = HeldOutCheck("joint1", {"baseline": ratio, "rigid_body": less, "urdf": less}, {}, 0.1)
+    words = replace(result(finding("backlash", "joint1")), held_out_checks=(check,)).statement
+    assert ("squared error exceeds that of least squares with friction at joint1" in words) is said

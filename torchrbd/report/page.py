@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from torchrbd._runtime.outputs import write_whole
+from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.diagnosis import Diagnosis
 from torchrbd.diagnosis.results import Finding, HeldOutCheck
 from torchrbd.inference.identification import Identification
@@ -99,6 +101,11 @@ class Page:
     def mean(self) -> dict[str, float]:
         """Mean nmse of each model over the joints that have one."""
         return {m: self.result.fits[m].mean_nmse for m in self.models}
+
+    @staticmethod
+    def best(errors: Mapping[str, float]) -> float:
+        """Return the largest error that cannot be distinguished from the smallest, of models by name."""
+        return (1.0 + DECISIONS.no_change) * min((e for e in errors.values() if math.isfinite(e)), default=math.nan)
 
     @cached_property
     def findings(self) -> list[Card]:
