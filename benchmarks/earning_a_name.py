@@ -7,9 +7,9 @@
 Writes ``benchmarks/results/earning_a_name.json``. Of each recording the adopted hypotheses and the ten likeliest others
 are scored by
 
-- *evidence*: log odds of the search; and the same, no larger than the evidence of the reported estimate;
+- *evidence*: log odds of the search; and the same, with no more evidence than left-out blocks give (see ``proof``);
 - *elpd* of left-out blocks, over its standard error: in the search's rows with the noise learnt with all terms, with
-  the noise learnt from smooth curves, and by least squares in the band of the motion (see ``proof``);
+  the noise learnt from smooth curves, and by least squares in the band of the motion;
 - *equivalence*: the smaller of share of error over 5 % and torque over 0.1 %.
 
 Simulated hypotheses are true or false. Of real robots only adopted ones count: they are useful if held-out data is
@@ -39,12 +39,10 @@ import torchrbd
 from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.evidence import ModelEvidence
-from torchrbd.diagnosis.evidence_cap import evidence_of_estimate
 from torchrbd.diagnosis.explain import places
 from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
-from torchrbd.diagnosis.hypotheses import prior_std
 from torchrbd.diagnosis.outcome import Term
-from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.posterior import as_predicted, log_odds
 from torchrbd.diagnosis.proof import Proof
 from torchrbd.effects.registry import effect
 from torchrbd.inference.physical.fitting import judge
@@ -64,14 +62,14 @@ LEADING, ALIKE = 10, 3.0
 USEFUL = 0.05
 RULES: Mapping[str, Callable[[Mapping[str, float]], bool]] = {
     "evidence": lambda s: s["evidence"] > 0,
-    "evidence, capped by the estimate": lambda s: s["capped"] > 0,
     "elpd > se, noise of the final model": lambda s: s["elpd_final"] > 1,
     "elpd > se, noise of smooth curves": lambda s: s["elpd_saturated"] > 1,
     "elpd > se, least squares in the band": lambda s: s["elpd"] > 1,
     "elpd > 2 se, least squares in the band": lambda s: s["elpd"] > 2,
     "equivalence": lambda s: s["equivalence"] > 1,
     "elpd > se and equivalence": lambda s: s["elpd"] > 1 and s["equivalence"] > 1,
-    "elpd > se, equivalence, capped evidence": lambda s: s["elpd"] > 1 and s["equivalence"] > 1 and s["capped"] > 0,
+    "evidence of left-out blocks": lambda s: s["left_out"] > 0,
+    "evidence of left-out blocks and equivalence": lambda s: s["left_out"] > 0 and s["equivalence"] > 1,
 }
 
 
@@ -114,9 +112,9 @@ def over_se(d: np.ndarray) -> float:
     return float(d.sum() / max(d.std(ddof=1) * math.sqrt(len(d)), 1e-300)) if len(d) > 1 else 0.0
 
 
-def scored(model: FinalModel, may: Sequence[str]) -> list[Scored]:
+def scored(model: FinalModel) -> list[Scored]:
     """Return the scores of the hypotheses that a search adopted, and of the likeliest others."""
-    found, robot = model.found, model.prepared.robot
+    found, robot, may = model.found, model.prepared.robot, model.may
     others = [h for h in found.last if not is_curve(h.candidate)][:LEADING]
     fit, rows = found.fit, found.rows
     wide = fit.extended([*fit.extra, *(h.extra(fit, rows) for h in others)])
@@ -141,8 +139,6 @@ def scored(model: FinalModel, may: Sequence[str]) -> list[Scored]:
             curves = block_densities(evidence.fit([*chosen, h])) - saturated
         elpd = proof.elpd(c, gone)
         odds, estimate = log_odds(h, rows), proof.fits.given_shapes(gone)
-        std = prior_std(fit, rows, h.candidate)[0] * h.scale
-        cap = evidence_of_estimate(estimate, c, std, wide.coefficients_covariance(k))
         with_it, without = (
             judge(full.prepared.judging, m.x).nmse for m in (estimate, proof.fits.given_shapes([*gone, c]))
         )
@@ -164,7 +160,7 @@ def scored(model: FinalModel, may: Sequence[str]) -> list[Scored]:
                 ],
                 scores={
                     "evidence": odds,
-                    "capped": odds - max(0.0, h.log_evidence - cap),
+                    "left_out": log_odds(as_predicted(h, (), elpd)[0], rows),
                     "elpd_final": over_se(final),
                     "elpd_saturated": over_se(curves),
                     "elpd": elpd.value / elpd.se if elpd.se else 0.0,
@@ -179,18 +175,17 @@ def scored(model: FinalModel, may: Sequence[str]) -> list[Scored]:
 def hypotheses(robot: Path, fitted: Sequence[Path], **options: Any) -> list[Scored]:
     """Diagnose, and return the scores of hypotheses before anything is decided."""
     module, kept = import_module("torchrbd.diagnosis.diagnose"), list[list[Scored]]()
-    decide = module.simplified
+    decide = module.explain
 
-    def watched(model: FinalModel, prepared: Any, may: Sequence[str], progress: Any) -> FinalModel:
-        final = decide(model, prepared, may, progress)
-        kept.append(scored(final, may))
-        return final
+    def watched(model: FinalModel) -> Any:
+        kept.append(scored(model))
+        return decide(model)
 
-    module.simplified = watched
+    module.explain = watched
     try:
         torchrbd.diagnose(robot, list(fitted), **options)
     finally:
-        module.simplified = decide
+        module.explain = decide
     return kept[0] if kept else []
 
 

@@ -197,7 +197,7 @@ def earning_a_name() -> str:
 def earning_a_name_areas() -> str:
     names = {
         "evidence": "evidence",
-        "capped": "evidence, capped by the estimate",
+        "left_out": "evidence of left-out blocks",
         "elpd_final": "elpd over se, noise of the final model",
         "elpd_saturated": "elpd over se, noise of smooth curves",
         "elpd": "elpd over se, least squares in the band",

@@ -19,6 +19,7 @@ from torchrbd.diagnosis.explain import _once
 from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.refitted_models import RefittedModels
+from torchrbd.diagnosis.results import Elpd
 from torchrbd.diagnosis.search import Term
 from torchrbd.effects import Site, effect
 from torchrbd.inference.ordinary import with_friction as friction_of
@@ -29,6 +30,7 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.robot import RobotModel
 
+WORTHLESS = Elpd(-1.0, 1.0, -1.0, 0.0, 0.0)
 EVERY = ("smooth_torque_over_qd", "smooth_torque_over_load", "smooth_friction_over_load")
 MAY = ("viscous_friction", "coulomb_friction")
 
@@ -120,7 +122,7 @@ def test_a_model_without_a_law_is_the_fit_without_it_and_its_slopes() -> None:
     (law,) = model.terms
     assert any(c not in model.first.proper_terms for c in model.first.terms), "the law has slopes"
     ordinary = model.first.proper_terms[: len(model.friction)]
-    judging, without = model.prepared.judging, model.without({law})
+    judging, without = model.prepared.judging, model.without({law: WORTHLESS})
     assert (without.terms, without.open, without.first.terms) == ((), (), ordinary)
     expected = judge(judging, model.prepared.fit(ordinary).x).nmse
     assert judge(judging, without.model.x).nmse == pytest.approx(expected, rel=1e-6)
@@ -143,7 +145,7 @@ def test_friction_that_a_law_stands_in_for_is_sure_without_it() -> None:
         plain, terms=(Term(law, ()),), fit=plain.base.extended([law.extra(plain.base, plain.rows)]).refit
     )
     never, model = (fit_final_model(prepared, found, MAY, lambda *_: None) for found in (plain, with_law))
-    again = model.without(model.terms)
+    again = model.without(dict.fromkeys(model.terms, WORTHLESS))
     assert [f.candidate for f in again.friction] == [f.candidate for f in model.friction]
     viscous = [one.friction[0] for one in (never, again, model)]
     assert {(f.candidate.effect.id, f.candidate.joint) for f in viscous} == {("viscous_friction", 0)}

@@ -14,15 +14,18 @@ from robot.random_robots import random_urdf
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.outcome import Term
 from torchrbd.diagnosis.posterior import (
     EXPECTED,
     Inclusion,
+    as_predicted,
     inclusion,
     log_odds,
     prior_log_odds,
     probability_of,
     refit_matters,
 )
+from torchrbd.diagnosis.results import Elpd
 from torchrbd.effects import Effect, Site, Window, effect, known_effects
 from torchrbd.effects.smooth_torque import SMOOTH
 from torchrbd.likelihood.learning import learn
@@ -93,7 +96,8 @@ def test_probabilities_are_shares_of_all_that_may_be_there(rows: Rows, seed: int
     np.testing.assert_allclose([one.probability for one in each], odds / (1.0 + odds.sum()), rtol=1e-9)
     assert sum(one.probability for one in each) <= 1.0
     for one in each:
-        assert one.probability <= one.family_probability <= 1.0
+        assert one.probability <= one.family_probability <= one.class_probability
+        assert one.class_probability == pytest.approx(odds.sum() / (1.0 + odds.sum()))
         laws = [p for _, p in one.laws]
         assert laws == sorted(laws, reverse=True)
         assert sum(laws) == pytest.approx(1.0)
@@ -179,3 +183,43 @@ def test_a_term_is_told_by_its_window_too(rows: Rows) -> None:
     again = inclusion(one, [replace(one, log_evidence=8.0)], rows)
     assert len(again.laws) == 2
     assert again.probability > again.laws[1][1]
+
+
+def left_out(log_evidence: float) -> Elpd:
+    """What left-out blocks say."""
+    return Elpd(9.0, 3.0, log_evidence, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("log_evidence", [-3.0, 2.0, 30.0, 300.0])
+def test_no_term_is_surer_than_left_out_blocks_make_it(rows: Rows, log_evidence: float) -> None:
+    spring, rotor = (
+        hypothesis(rows, name, Site(0), nats) for name, nats in (("joint_spring", 44.0), ("rotor_inertia", 40.0))
+    )
+    own, (rival,) = as_predicted(spring, [rotor], left_out(log_evidence))
+    prior = prior_log_odds(effect("joint_spring"), rows.columns.robot)
+    assert log_odds(own, rows) == pytest.approx(min(log_odds(spring, rows), log_evidence + prior))
+    assert own.log_evidence - rival.log_evidence == pytest.approx(4.0)
+    assert probability_of(44.0, log_evidence) == pytest.approx(
+        1.0 / (1.0 + math.exp(-min(calibrated(44.0), log_evidence)))
+    )
+
+
+def test_a_law_that_is_not_needed_leaves_its_likeliest_part(rows: Rows) -> None:
+    """A spring is an offset and a stiffness: its odds against the offset are those of a stiffness, not needed."""
+    spring, offset = (
+        hypothesis(rows, name, Site(0), nats) for name, nats in (("joint_spring", 60.0), ("torque_offset", 30.0))
+    )
+    drag, elsewhere = (
+        hypothesis(rows, "quadratic_drag", Site(0), 50.0),
+        hypothesis(rows, "torque_offset", Site(1), 40.0),
+    )
+    part = Term(spring, (drag, elsewhere, offset)).part(rows, left_out(1.0))
+    assert part is not None
+    assert part.own is offset
+    assert [h.name for h in part.rivals] == [spring.name, drag.name, elsewhere.name]
+    more = log_odds(part.rivals[0], rows) - log_odds(offset, rows)
+    assert more == pytest.approx(1.0 + prior_log_odds(effect("joint_spring"), rows.columns.robot))
+    assert more < 0.0
+    unlikely = replace(offset, log_evidence=1.0)
+    assert Term(spring, (drag, unlikely)).part(rows, left_out(1.0)) is None
+    assert Term(drag, (offset,)).part(rows, left_out(1.0)) is None

@@ -106,7 +106,7 @@ def test_a_spring_that_is_gone_on_another_day_is_named_and_said_to_be_gone_there
         assert {(f.effect, f.joints) for f in diagnosis.findings} == {*friction, ("joint_spring", (NAMES[0],))}
         (one,) = (f for f in diagnosis.findings if f.effect == "joint_spring")
         assert one.elpd is not None
-        assert one.elpd.proven
+        assert one.elpd.log_evidence > 10.0
         assert one.elpd.share > 0.9
         assert one.parameters["stiffness"].value == pytest.approx(3.0, rel=0.1)
         assert one.held_out is not gone

@@ -150,7 +150,7 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
     one = Finding(
         "stribeck_friction", ("a",), (), 0.6, 40.0, {}, Where(), (), {"a": 0.4, "b": 0.2}, {"a": 0.1, "b": 0.2},
         family="friction", family_probability=0.98, laws=(Law("stribeck_friction", 0.7), Law("quadratic_drag", 0.3)),
-        torque_rms={"a": 1.5}, elpd=Elpd(41.5, 6.0, 0.75, 0.2), held_out_ratio=Ratio(0.9, 0.8, 1.0),
+        torque_rms={"a": 1.5}, elpd=Elpd(41.5, 6.0, 12.5, 0.75, 0.2), held_out_ratio=Ratio(0.9, 0.8, 1.0),
     )  # fmt: skip
     small = replace(one, effect="torque_ripple", nmse_before={"a": 0.0}, laws=(), elpd=None)
     write_diagnosis(Diagnosis(found, "missing_physics", (one,), not_confirmed=(small,)), tmp_path / "d")
@@ -162,7 +162,7 @@ def test_a_finding_says_its_family_its_laws_and_what_it_carries(found: Identific
         {"effect": "quadratic_drag", "probability": 0.3},
     ]
     assert told["torque_rms"] == {"a": 1.5}
-    assert told["elpd"] == {"value": 41.5, "se": 6.0, "share": 0.75, "torque_share": 0.2}
+    assert told["elpd"] == {"value": 41.5, "se": 6.0, "log_evidence": 12.5, "share": 0.75, "torque_share": 0.2}
     assert not_confirmed["elpd"] is None
     assert (told["held_out_ratio"], content["held_out_ratio"]) == ({"value": 0.9, "low": 0.8, "high": 1.0}, None)
     # The largest of its joints.

@@ -160,9 +160,10 @@ def test_laws_that_explain_the_same_are_told_with_their_family(tmp_path):
 def test_a_card_says_what_cross_validation_gains(tmp_path):
     result = diagnosis(("joint1", "joint2"))
     (one,) = result.findings
-    sure = replace(result, findings=(replace(one, elpd=Elpd(412.0, 33.0, 0.87, 0.3)),))
+    sure = replace(result, findings=(replace(one, elpd=Elpd(412.0, 33.0, 25.0, 0.87, 0.3)),))
     text = " ".join(Text(render(sure, tmp_path)).words).replace("\N{NO-BREAK SPACE}", " ")
-    assert "Cross-validation 87 % of the error of left-out blocks; elpd gain 412 ± 33 nats (± standard error)" in text
+    gain = "log Bayes factor 25.0 nats; elpd gain 412 ± 33 nats (± standard error)"
+    assert f"Cross-validation 87 % of the error of left-out blocks; {gain}" in text
     assert "left-out blocks" not in render(result, tmp_path)
 
 

@@ -145,12 +145,12 @@ def findings() -> list[Finding]:
     found += [replace(base, parameters={"p": Quantity(0.1, 9.0, "kg"), "r": Quantity(0.1, 9.0, "kg")})]
     found += [replace(base, effect="geometry_error", variant=Variant("upper", 0.42, 0.3))]
     shares = (
-        Elpd(40.0, 5.0, 0.8, 0.3),
-        Elpd(2.0, 5.0, 0.8, 0.3),
-        Elpd(0.0, 0.0, 0.0, 0.0),
-        Elpd(9.0, 5.0, 0.01, 0.003),
+        Elpd(40.0, 5.0, 12.0, 0.8, 0.3),
+        Elpd(2.0, 5.0, 0.4, 0.8, 0.3),
+        Elpd(0.0, 0.0, 0.0, 0.0, 0.0),
+        Elpd(9.0, 5.0, 3.0, 0.01, 0.003),
     )
-    found += [replace(base, elpd=one) for one in shares]
+    found += [replace(base, elpd=one, probability=p) for one in shares for p in (0.2, 0.9)]
     return [*found, replace(base, effect="joint_elasticity", deflection=deflection())]
 
 

@@ -310,23 +310,22 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
 
 
 @pytest.mark.parametrize(
-    ("elpd", "words"),
+    ("probability", "elpd", "words"),
     [
-        (Elpd(40.0, 5.0, 0.8, 0.3), ""),
-        (Elpd(2.0, 5.0, 0.8, 0.3),
-         " Cross-validation does not confirm it: the gain of log predictive density is 2.00 nats, its standard "
-         "error 5.00."),
-        (Elpd(0.0, 0.0, 0.0, 0.0),
-         " Cross-validation does not confirm it: the gain of log predictive density is unknown."),
-        (Elpd(40.0, 5.0, 0.8, 0.0004),
+        (0.9, Elpd(40.0, 5.0, 12.0, 0.8, 0.3), ""),
+        (0.2, Elpd(2.0, 5.0, 0.4, 0.8, 0.3),
+         " Cross-validation does not confirm it: log evidence 0.400 nats on left-out blocks, 12.0 nats in the search."),
+        (0.2, Elpd(0.0, 0.0, 0.0, 0.0, 0.0),
+         " Cross-validation does not confirm it: log evidence unknown on left-out blocks, 12.0 nats in the search."),
+        (0.9, Elpd(40.0, 5.0, 12.0, 0.8, 0.0004),
          " It is negligible: 80 % of the squared error of left-out blocks, 0.04 % of the torque."),
-        (Elpd(40.0, 5.0, 0.012, 0.3),
+        (0.9, Elpd(40.0, 5.0, 12.0, 0.012, 0.3),
          " It is negligible: 1.2 % of the squared error of left-out blocks, 30 % of the torque."),
     ],
     ids=["confirmed", "by chance", "too short", "little torque", "little error"],
 )  # fmt: skip
-def test_a_sentence_says_why_cross_validation_does_not_confirm_it(elpd: Elpd, words: str) -> None:
-    plain = finding("backlash", "joint1")
+def test_a_sentence_says_why_cross_validation_does_not_confirm_it(probability: float, elpd: Elpd, words: str) -> None:
+    plain = replace(finding("backlash", "joint1"), probability=probability, log_evidence_gain=12.0)
     begin, mark, rest = plain.statement.partition("(± 95 %).")
     assert replace(plain, elpd=elpd).statement == f"{begin}{mark}{words}{rest}"
 

@@ -25,7 +25,7 @@ from torchrbd.likelihood.clocks import of_one_machine
 
 
 def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identification) -> Finding | None:
-    """Return the offset of the clocks as a finding, if it is likelier than not.
+    """Return the offset of the clocks as a finding, if the search makes it likelier than not.
 
     Args:
         ranked: whose clocks were learnt.
@@ -33,16 +33,18 @@ def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identifi
         identification: with its torques and errors.
     """
     robot, found = extended.prepared.robot, [h for h in ranked.first if _is_offset(h)]
-    sure = probabilities([calibrated(h.log_evidence) + prior_log_odds(effect(h.effect), robot) for h in found])
-    if not found or sure.sum() <= DECISIONS.likely:
+    logs = [calibrated(h.log_evidence) + prior_log_odds(effect(h.effect), robot) for h in found]
+    if not found or probabilities(logs).sum() <= DECISIONS.likely:
         return None
+    before, after, carried, worth = _worth(extended, identification)
+    less = min(0.0, worth.log_evidence - calibrated(max(h.log_evidence for h in found)))
+    sure = probabilities([one + less for one in logs])
     order = np.argsort(-sure, kind="stable")
     best, *others = (found[k] for k in order)
     late, std = _offset(ranked, extended.prepared)
     values = {"delay": late, "time_constant": -late}
     own = effect(best.effect)
     (name,) = best.parameters
-    before, after, carried, worth = _worth(extended, identification)
     return Finding(
         effect=best.effect,
         joints=(),
@@ -59,6 +61,7 @@ def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identifi
         nmse_after=after,
         family=own.family,
         family_probability=min(float(sure.sum()), DECISIONS.largest_probability),
+        class_probability=min(float(sure.sum()), DECISIONS.largest_probability),
         laws=tuple(Law(found[k].effect, float(sure[k] / sure.sum())) for k in order),
         torque_rms=carried,
         elpd=worth,

@@ -20,7 +20,6 @@ from torchrbd.diagnosis.posterior import refit_matters
 from torchrbd.diagnosis.proof import predicts_nothing
 from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
-from torchrbd.diagnosis.simplifying import simplified
 from torchrbd.diagnosis.springs import with_springs
 from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, unexplained
@@ -118,8 +117,7 @@ def diagnose(
     asked = prepared
     prepared = with_machine(prepared, settings, with_friction(settings), progress, search.clocks, laws)
     progress("fitting what was found", 0.0)
-    model = simplified(fit_final_model(prepared, found, may, progress), prepared, may, progress)
-    found = model.found
+    model = fit_final_model(prepared, found, may, progress)
     if predicts_nothing(model.prepared, model.model) and predicts_nothing(
         asked, asked.fit(asked.columns.urdf_friction)
     ):
@@ -131,7 +129,7 @@ def diagnose(
     identification = summarise(model.prepared, models, settings, progress, suspected)
     springs = joint_deflections(model.prepared, model.model)
     late = clock_offset(search.ranking, model, identification)
-    if late is not None and late.elpd is not None and late.elpd.proven:
+    if late is not None and late.confirmed:
         findings = strongest_first((*findings, late))
     elif late is not None:
         not_confirmed = strongest_first((*not_confirmed, late))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -13,12 +14,11 @@ from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.curves import driven_by, fitted_curve
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.evidence_cap import evidence_of_estimate
 from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.friction import COULOMB, OFFSET, UNEVEN, Friction
-from torchrbd.diagnosis.hypotheses import Hypothesis, mean_of, prior_std, whole
+from torchrbd.diagnosis.hypotheses import Hypothesis, whole
 from torchrbd.diagnosis.outcome import SearchOutcome
-from torchrbd.diagnosis.posterior import Inclusion, inclusion, log_odds, probability_of
+from torchrbd.diagnosis.posterior import Inclusion, as_predicted, inclusion, log_odds, probability_of
 from torchrbd.diagnosis.proof import Proof, unproven
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.ranking import SearchResult
@@ -34,7 +34,6 @@ from torchrbd.diagnosis.results import (
     Where,
     strongest_first,
 )
-from torchrbd.diagnosis.simplifying import as_estimated
 from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Effect
 from torchrbd.effects.base import UNEVENNESS
@@ -51,9 +50,9 @@ class Explained:
     """The report on the terms that were found.
 
     Attributes:
-        findings: those that are proven, the largest gain first.
-        not_confirmed: others as likely that are not proven, or too uncertain.
-        model: without terms that are not proven; baseline friction may have absorbed parts of these.
+        findings: those that left-out blocks confirm, the strongest first.
+        not_confirmed: others that the search found.
+        model: without terms that are not confirmed; baseline friction may have absorbed parts of these.
         curves: what its smooth curves are worth.
     """
 
@@ -64,29 +63,29 @@ class Explained:
 
 
 def explain(extended: FinalModel) -> Explained:
-    """Describe what was found: what is likelier than not, or whose family is, and proven on left-out blocks."""
+    """Describe what was found, and what left-out blocks confirm of it; the model is left with what it needs."""
     proof = Proof(extended)
-    likely = dict(_terms_and_findings(extended))
-    gone = unproven(proof, [term for term in extended.terms if term.effect is not HUM])
-    dropped = [
-        _judged(term, replace(likely[term], elpd=elpd), proof.fits) for term, elpd in gone.items() if term in likely
-    ]
+    states = [term for term in extended.terms if term.effect is not HUM]
+    gone = unproven(proof, states, partial(_is_needed, extended))
+    dropped = [_judged(term, one, proof.fits) for term, one in _described(extended, gone) if term in gone]
     if gone:
         extended = extended.without(gone)
         proof = Proof(extended)
-    kept, apart = list[tuple[Candidate, Finding]](), list[Finding]()
-    for term, one in _terms_and_findings(extended):
-        elpd = proof.elpd(term)
-        one = _judged(term, replace(one, elpd=elpd), proof.fits)
-        if elpd.proven:
-            kept.append((term, one))
-        else:
-            apart.append(one)
-    uncertain = [_judged(term, one, proof.fits) for term, one in _terms_and_findings(extended, likely=False)]
-    findings = [one for _, one in _once(kept, extended.model.columns)]
     curves = {term: proof.elpd(term) for term in extended.terms if is_curve(term) and term.effect is not HUM}
-    not_confirmed = _completed([*apart, *dropped, *uncertain], extended)
-    return Explained(_completed(findings, extended), not_confirmed, extended, curves)
+    worth = {term: proof.elpd(term) for term, _, _ in _sure(extended, {})}
+    every = [(term, _judged(term, one, proof.fits)) for term, one in _described(extended, worth)]
+    findings = [one for _, one in _once([pair for pair in every if pair[1].confirmed], extended.model.columns)]
+    not_confirmed = [*(one for _, one in every if not one.confirmed), *dropped]
+    return Explained(_completed(findings, extended), _completed(not_confirmed, extended), extended, curves)
+
+
+def _is_needed(extended: FinalModel, term: Candidate, elpd: Elpd) -> bool:
+    """Say whether a term is likelier than not and matters; a curve has no name, and need only predict better."""
+    if is_curve(term):
+        return elpd.certain
+    found = extended.found
+    one = found.terms[extended.terms.index(term)]
+    return elpd.matters and log_odds(as_predicted(one.own, one.rivals, elpd)[0], found.rows) > 0.0
 
 
 def _judged(term: Candidate, one: Finding, fits: RefittedModels) -> Finding:
@@ -99,7 +98,7 @@ def _judged(term: Candidate, one: Finding, fits: RefittedModels) -> Finding:
 def _completed(found: Sequence[Finding], extended: FinalModel) -> tuple[Finding, ...]:
     """Return findings, the strongest first, with what else is to be said of them."""
     robot = extended.prepared.robot
-    always = {(c.effect.id, *places(robot, c)) for c, _, _ in _sure(extended) if c.site.recordings is None}
+    always = {(c.effect.id, *places(robot, c)) for c, _, _ in _sure(extended, {}) if c.site.recordings is None}
     more = [one.where.recordings is not None and (one.effect, one.joints, one.links) in always for one in found]
     return strongest_first(
         replace(one, adds_to_all=adds, variant=another_variant(one, robot))
@@ -117,47 +116,28 @@ def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[t
     return [pair for pair, (one, own) in zip(kept, every, strict=True) if not is_part(one, own)]
 
 
-def _terms_and_findings(extended: FinalModel, *, likely: bool = True) -> list[tuple[Candidate, Finding]]:
-    """Return terms that are likelier than not, or whose family is, with their findings.
-
-    Args:
-        extended: the model.
-        likely: False for the other terms of the model: the search adopted them, their estimates are too uncertain.
-    """
+def _described(extended: FinalModel, worth: Mapping[Candidate, Elpd]) -> list[tuple[Candidate, Finding]]:
+    """Return the terms of a model that may be findings, described; ``worth`` says what left-out blocks say of them."""
     reading = extended.prepared.reading
     ends_s = {r.name: s.segments[-1][1] for r, s in zip(reading.recordings, reading.surveys, strict=True)}
-    return [
-        (term, _finding(term, evidence, sure, extended, ends_s, _alternatives(term, sure, extended)))
-        for term, evidence, sure in _sure(extended)
-        if (max(sure.probability, sure.family_probability) > DECISIONS.likely) is likely
-    ]
+    found = list[tuple[Candidate, Finding]]()
+    for term, evidence, sure in _sure(extended, worth):
+        one = _finding(term, evidence, sure, extended, ends_s, _alternatives(term, sure, extended))
+        found.append((term, replace(one, elpd=worth.get(term))))
+    return found
 
 
-def _sure(extended: FinalModel) -> Iterator[tuple[Candidate, float, Inclusion]]:
+def _sure(extended: FinalModel, worth: Mapping[Candidate, Elpd]) -> Iterator[tuple[Candidate, float, Inclusion]]:
     """Yield the terms of a model that may be findings, their log evidence, and how sure they are."""
     found, terms = extended.found, extended.model.proper_terms
-    for friction, candidate in zip(extended.friction, terms, strict=False):
-        friction = _as_estimated(friction, candidate, extended)
-        if (p := friction.probability) > DECISIONS.likely:
-            yield candidate, friction.log_evidence, Inclusion(p * friction.law, p, _laws(friction, candidate, extended))
-    for term, candidate, covariance in zip(found.terms, extended.terms, extended.open, strict=True):
-        if is_curve(candidate):
-            continue
-        one = as_estimated(extended, term, candidate, covariance)
-        yield candidate, one.own.log_evidence, inclusion(one.own, one.rivals, found.rows)
-
-
-def _as_estimated(friction: Friction, term: Candidate, extended: FinalModel) -> Friction:
-    """Return baseline friction no surer than its estimate; without the effect it is the URDF's."""
-    model, found = extended.model, extended.found
-    std, scales = prior_std(found.fit, found.rows, term)
-    none = extended.prepared.prior.reference[model.columns.of(term)].numpy()
-    evidence = mean_of(
-        np.array([evidence_of_estimate(model, term, std * scale, None, none, term.labels) for scale in scales])
-    )
-    if evidence >= friction.log_evidence:
-        return friction
-    return replace(friction, log_evidence=evidence, probability=probability_of(evidence))
+    for friction, c in zip(extended.friction, terms, strict=False):
+        if friction.probability > DECISIONS.likely:
+            p = probability_of(friction.log_evidence, worth[c].log_evidence if c in worth else math.inf)
+            yield c, friction.log_evidence, Inclusion(p * friction.law, p, p, _laws(friction, c, extended))
+    for term, c in zip(found.terms, extended.terms, strict=True):
+        if not is_curve(c):
+            own, rivals = as_predicted(term.own, term.rivals, worth[c]) if c in worth else (term.own, term.rivals)
+            yield c, term.own.log_evidence, inclusion(own, rivals, found.rows)
 
 
 def _laws(friction: Friction, term: Candidate, extended: FinalModel) -> tuple[tuple[Hypothesis, float], ...]:
@@ -243,6 +223,7 @@ def _finding(
         curve=fitted_curve(model, term),
         family=term.effect.family,
         family_probability=min(sure.family_probability, DECISIONS.largest_probability),
+        class_probability=min(sure.class_probability, DECISIONS.largest_probability),
         laws=tuple(Law(h.candidate.effect.id, p) for h, p in sure.laws if p > DECISIONS.least_law),
         torque_rms=torque_rms(term, extended),
     )

@@ -15,7 +15,8 @@ with the features C and coefficients w of the curves, their prior D, all other c
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,14 +27,17 @@ from torchrbd.dataset.reading import Progress
 from torchrbd.dataset.shapes import slopes
 from torchrbd.diagnosis.curve_hypotheses import has_friction
 from torchrbd.diagnosis.friction import OFFSET, Friction, ordinary_friction, weighed_given
-from torchrbd.diagnosis.outcome import SearchOutcome
+from torchrbd.diagnosis.outcome import SearchOutcome, Term
+from torchrbd.diagnosis.results import Elpd
 from torchrbd.diagnosis.sharpening import shape_stds
 from torchrbd.effects import Site
+from torchrbd.effects.base import LEVEL
 from torchrbd.inference.physical.fitting import FittedModel
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.shapes.refine import fit_with_shapes
 from torchrbd.inference.shapes.reread import reread, with_input_noise
 from torchrbd.likelihood.equations import scaled_equations
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.likelihood import Likelihood
 
 
@@ -50,6 +54,7 @@ class FinalModel:
         terms: what was found, in the order of the explanation.
         open: of each term, the covariance (K, K) of its coefficients in the likelihood. It includes what this fit
             takes as known: whether friction differs by direction, the level of a drift, the clocks.
+        may: ids of the effects that may be there.
     """
 
     prepared: Prepared
@@ -59,24 +64,42 @@ class FinalModel:
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
     open: tuple[np.ndarray, ...]
+    may: tuple[str, ...] = ()
 
-    def without(self, gone: Collection[Candidate]) -> FinalModel:
+    def without(self, gone: Mapping[Candidate, Elpd]) -> FinalModel:
         """Return the fit without some of its ``terms``, all else at the shapes, and in the noise, that it has.
 
-        Baseline friction may have been absorbed by these, and is weighed again.
+        A law of which a simpler one is a part leaves that, if it is likelier than not. Baseline friction may have been
+        absorbed by what is gone, and is weighed again.
         """
-        kept = [k for k, c in enumerate(self.terms) if c not in gone]
-        terms, before = tuple(self.terms[k] for k in kept), self.found
-        fit = before.fit.extended([before.fit.extra[k] for k in kept])
-        found = replace(before, fit=fit, terms=tuple(before.terms[k] for k in kept))
+        fit, columns, each = self.found.fit, self.model.columns, list[tuple[Term, Candidate, Extra]]()
+        for term, c, extra in zip(self.found.terms, self.terms, fit.extra, strict=True):
+            if c not in gone:
+                each.append((term, c, extra))
+            elif (part := term.part(self.found.rows, gone[c])) is not None:
+                own = part.own.candidate
+                each.append(
+                    (part, columns.candidate(own.effect, own.site, own.shape), part.own.extra(fit, self.found.rows))
+                )
+        terms, fit = tuple(c for _, c, _ in each), fit.extended([extra for _, _, extra in each])
+        found = replace(self.found, fit=fit, terms=tuple(term for term, _, _ in each))
+        before = dict(zip(self.terms, self.open, strict=True))
+        left_open = tuple(before[c] if c in before else fit.coefficients_covariance(k) for k, c in enumerate(terms))
         given, laws = _friction_given(found)
-        friction = tuple(weighed_given(f, given, self.model.columns.robot, laws) for f in self.friction)
-        others = (*self.first.proper_terms[: len(self.friction)], *(c for c in terms if not has_friction(c)))
+        friction = (*self.friction, *(Friction(c, -math.inf, 0.0) for c in self.offsets_without(gone, terms)))
+        friction = tuple(weighed_given(f, given, columns.robot, laws) for f in friction)
+        others = (*(f.candidate for f in friction), *(c for c in terms if not has_friction(c)))
         curves = tuple(c for c in terms if has_friction(c))
         first = fit_with_shapes(self.prepared, others)
         model = with_curves(self.prepared, first, curves) if curves else first
-        left_open = tuple(self.open[k] for k in kept)
         return replace(self, found=found, first=first, model=model, friction=friction, terms=terms, open=left_open)
+
+    def offsets_without(self, gone: Collection[Candidate], kept: Collection[Candidate]) -> list[Candidate]:
+        """Return the offsets that joints have where a law with a level is gone, and no other has the level."""
+        levels = {c.place for c in kept if LEVEL in c.labels}
+        joints = {c.joint for c in gone if LEVEL in c.labels and c.place not in levels}
+        at = sorted(joints) if OFFSET.id in self.may else []
+        return [self.model.columns.candidate(OFFSET, Site(j), {}) for j in at]
 
 
 def fit_final_model(prepared: Prepared, found: SearchOutcome, may: Sequence[str], progress: Progress) -> FinalModel:
@@ -112,7 +135,7 @@ def fit_final_model(prepared: Prepared, found: SearchOutcome, may: Sequence[str]
     first = fit_with_shapes(prepared, others)
     left_open = tuple(found.fit.coefficients_covariance(k) for k in range(len(terms)))
     model = with_curves(prepared, first, curves) if curves else first
-    return FinalModel(prepared, found, first, model, friction, terms, left_open)
+    return FinalModel(prepared, found, first, model, friction, terms, left_open, tuple(may))
 
 
 def _friction_given(found: SearchOutcome) -> tuple[Likelihood, list[Candidate]]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.discrepancy import Discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.posterior import as_predicted, log_odds
+from torchrbd.diagnosis.results import Elpd
 from torchrbd.likelihood.likelihood import Likelihood
 
 
@@ -18,9 +19,24 @@ class Term:
     own: Hypothesis
     rivals: tuple[Hypothesis, ...]
 
-    def best(self, rows: Rows) -> Hypothesis:
-        """Return the likeliest of them."""
-        return max((self.own, *self.rivals), key=lambda h: log_odds(h, rows))
+    def part(self, rows: Rows, elpd: Elpd) -> Term | None:
+        """Return the likeliest rival that is this law with some columns at zero, in its place; None if none is likely.
+
+        The law is the rival and these columns: its odds against the rival are those of the columns alone.
+
+        Args:
+            rows: of the search.
+            elpd: what left-out blocks say for the law against the rival.
+        """
+        site, labels = self.own.candidate.site, set(self.own.candidate.labels)
+        parts = [h for h in self.rivals if h.candidate.site == site and set(h.candidate.labels) < labels]
+        best = max(parts, key=lambda h: log_odds(h, rows), default=None)
+        if best is None or log_odds(best, rows) <= 0.0:
+            return None
+        (alone, _), odds = as_predicted(self.own, (), elpd), log_odds(self.own, rows)
+        more = log_odds(best, rows) + min(log_odds(alone, rows), 0.0) - odds
+        own = replace(self.own, log_evidence=self.own.log_evidence + more)
+        return Term(best, (own, *(h for h in self.rivals if h is not best)))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,6 +22,7 @@ from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.results import Elpd
 from torchrbd.effects import Effect, Window
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
@@ -41,12 +42,14 @@ class Inclusion:
     Attributes:
         probability: of the effect itself at its place.
         family_probability: that some effect of its family is at its joint, or on the robot.
+        class_probability: that it, or one of its rivals, is there.
         laws: effects in its place, the likeliest first, of whatever family, each with its probability given that any is
             there.
     """
 
     probability: float
     family_probability: float
+    class_probability: float
     laws: tuple[tuple[Hypothesis, float], ...] = ()
 
 
@@ -70,14 +73,23 @@ def _so_briefly(c: Candidate) -> float:
     return -0.5 * (min(math.log((window.end_s - window.start_s) / usual), 0.0) / _TIMES_STD) ** 2
 
 
-def probability_of(log_evidence: float) -> float:
-    """Return the probability of what is as likely as not before the data."""
-    return float(expit(calibrated(log_evidence)))
+def probability_of(log_evidence: float, most: float = math.inf) -> float:
+    """Return the probability of what is as likely as not before the data; no evidence counts more than ``most``."""
+    return float(expit(min(calibrated(log_evidence), most)))
 
 
 @lru_cache(maxsize=1024)
 def _places(effect: Effect, robot: RobotModel) -> int:
     return max(len(effect.sites(robot)), len(effect.sites(robot, (Window(""),))), 1)
+
+
+def as_predicted(
+    own: Hypothesis, rivals: Sequence[Hypothesis], elpd: Elpd
+) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    """Return a term and its rivals with no more evidence than left-out blocks give for the term, see ``proof``."""
+    less = min(0.0, elpd.log_evidence - calibrated(own.log_evidence))
+    own, *others = (replace(h, log_evidence=h.log_evidence + less) for h in (own, *rivals))
+    return own, tuple(others)
 
 
 def refit_matters(base: Likelihood) -> bool:
@@ -94,6 +106,7 @@ def inclusion(own: Hypothesis, rivals: Sequence[Hypothesis], rows: Rows) -> Incl
     return Inclusion(
         probability=float(sure[every.index(own)]),
         family_probability=float(sum(p for h, p in zip(every, sure, strict=True) if _of_family(h, own))),
+        class_probability=float(sure.sum()),
         laws=tuple(zip(every, softmax(logs).tolist(), strict=True)),
     )
 

@@ -1,24 +1,34 @@
-"""Proof: does a term predict time that its fit has not seen, by more than chance allows, and enough to be named?
+"""Proof: does a term predict time that its fit has not seen, more surely than chance would, and enough to be named?
 
-Blocks of the fitted time are left out in turn, eight folds of neighbours. With the squared error E_bj of block b at
-joint j, and s_j^2 its mean over independent samples with the term,
+Blocks of the fitted time are left out in turn, eight folds of neighbours. Two fits predict a block b: one without the
+term, one with it. Their predictions differ by the torque f_b; e_b is the residual of one of them. In units of the noise
+s_j of the fits with the term, the residual along that torque is
+
+    c_b = sum_j f_bj' e_bj / s_j^2 / |f_b|,   |f_b|^2 = sum_j |f_bj|^2 / s_j^2
+
+If the term is there, c_b is noise with it; if it is not, c_b is noise without it. The scale of that noise is unknown:
+laws are a little wrong on every machine, and noise is correlated. With the scale integrated out over Jeffreys' prior,
+
+    log B = B/2 log( sum_b c_b^2 (without) / sum_b c_b^2 (with) )
+
+The evidence that a search has from single rows counts no more than this: the probability of a finding uses the smaller
+one. Another score is for comparison: elpd, with the squared errors E_bj and its paired standard error over the blocks,
 
     elpd = sum_b d_b,   d_b = sum_j (E_bj(without) - E_bj(with)) / (2 s_j^2),   se = std(d_b) sqrt(B)
 
-A term is proven if its elpd exceeds its standard error, and if it is not practically equivalent to nothing, see
-``Elpd``. Others are left out of the model one at a time, the least useful first, so that each term that remains is
-proven given the others. Held-out recordings have no part in this.
+Terms that are less likely than not then, or negligible (see ``Elpd``), are left out of the model one at a time, the
+least useful first: each that remains is needed given the others. Held-out recordings have no part in this.
 
-Source: Breiman, Friedman, Olshen, Stone, "Classification and Regression Trees" (1984), ch. 3.4.3 (one standard error);
-    Vehtari, Gelman, Gabry, "Practical Bayesian model evaluation using leave-one-out cross-validation", Statistics and
-    Computing 2017 (paired differences); Kruschke, "Rejecting or Accepting Parameter Values in Bayesian Estimation",
-    AMPPS 2018 (region of practical equivalence).
+Source: Zellner, "An Introduction to Bayesian Inference in Econometrics" (1971), ch. 10 (two hypotheses, one unknown
+    scale); Vehtari, Gelman, Gabry, "Practical Bayesian model evaluation using leave-one-out cross-validation",
+    Statistics and Computing 2017 (paired differences); Kruschke, "Rejecting or Accepting Parameter Values in Bayesian
+    Estimation", AMPPS 2018 (region of practical equivalence).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,8 +36,9 @@ import torch
 from torch import Tensor
 
 from torchrbd.dataset.columns import Candidate
-from torchrbd.diagnosis.curve_hypotheses import has_friction, is_curve
+from torchrbd.diagnosis.curve_hypotheses import has_friction
 from torchrbd.diagnosis.final_model import FinalModel, with_curves
+from torchrbd.diagnosis.friction import OFFSET
 from torchrbd.diagnosis.refitted_models import RefittedModels, acts_in
 from torchrbd.diagnosis.results import Elpd
 from torchrbd.inference.physical.fitting import FittedModel
@@ -36,6 +47,10 @@ from torchrbd.inference.preparation import Prepared
 
 # Below so many blocks nothing can be left out.
 _LEAST_BLOCKS = 2
+
+
+LeftOut = tuple[Tensor, Tensor]
+"""Blocks that are left out together, (B,) bool, and the coefficients (n,) of the fit without them."""
 
 
 class Proof:
@@ -49,18 +64,24 @@ class Proof:
         self.fits, self._model, self._prepared = RefittedModels(extended), extended.model, extended.prepared
         self._curves = [term for term in extended.terms if has_friction(term)]
         self._brief = [term for term in extended.terms if term.site.window is not None]
-        self._blocks, self._errors = self._prepared.judging_fitted, dict[tuple[object, ...], Tensor]()
+        self._blocks, self._fits = self._prepared.judging_fitted, dict[tuple[object, ...], list[LeftOut]]()
 
     def elpd(self, term: Candidate, gone: Sequence[Candidate] = ()) -> Elpd:
-        """Return what a term is worth in the model without those that are gone."""
+        """Return what a term is worth in the model without those that are gone; a law with a level, over an offset.
+
+        A joint keeps its offset in the baseline where that is no finding.
+        """
+        gone = [c for c in gone if c.effect is not OFFSET]
         inside, fold = self._folds(term)
         if len(fold[inside].unique()) < _LEAST_BLOCKS:
-            return Elpd(0.0, 0.0, 0.0, 0.0)
-        before, after = (self._left_out(g, term, fold).numpy() for g in ([*gone, term], gone))
+            return Elpd(0.0, 0.0, 0.0, 0.0, 0.0)
+        without, model = (self._left_out(g, term, fold) for g in ([*gone, term], gone))
+        before, after = (self._error(each).numpy() for each in (without, model))
+        between = self._between(without, model).numpy()
         samples, judged = self._blocks.torque[..., 0].numpy(), (fold >= 0).numpy()
         carried, own = self._carried(term, gone, inside), inside.numpy()
-        there = elpd_of(before[own], after[own], samples[own], carried, term.place)
-        every = elpd_of(before[judged], after[judged], samples[judged], carried, term.place)
+        there = elpd_of(before[own], after[own], between[own], samples[own], carried, term.place)
+        every = elpd_of(before[judged], after[judged], between[judged], samples[judged], carried, term.place)
         return replace(every, share=there.share)
 
     def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
@@ -97,34 +118,53 @@ class Proof:
     def _acting(self, term: Candidate) -> Tensor:
         return torch.tensor([acts_in(block, term.site) for block in self._blocks.blocks])
 
-    def _left_out(self, gone: Sequence[Candidate], term: Candidate, fold: Tensor) -> Tensor:
-        """Return the squared errors (B, n_dof) of blocks by fits without their folds.
+    def _left_out(self, gone: Sequence[Candidate], term: Candidate, fold: Tensor) -> list[LeftOut]:
+        """Return the blocks of each fold, (B,) bool, and the coefficients (n,) of the fit without them.
 
         Curves that could be a proxy for friction are in the model where one of them is judged: they are fitted to what
         all else leaves.
         """
         curves = [c for c in self._curves if c not in gone] if has_friction(term) else []
         key = frozenset(gone), frozenset(curves), term.site.window, term.site.recordings
-        if key not in self._errors:
+        if key not in self._fits:
             prepared, model = self._prepared, self.fits.given_shapes(gone)
-            errors = torch.zeros(len(fold), len(self._blocks.moments), dtype=torch.float64)
-            fitted = torch.nonzero(~prepared.held_out)[:, 0]
+            fitted, each = torch.nonzero(~prepared.held_out)[:, 0], list[LeftOut]()
             for out, x in left_out_fits(model, prepared, fold):
                 if curves:
                     rest = replace(prepared, held_out=prepared.held_out.index_fill(0, fitted[out], True))
                     x = with_curves(rest, replace(model, x=x, scatter=None), curves).x
-                errors[out] = self._blocks.select(out).squared_error(x)
-            self._errors[key] = errors
-        return self._errors[key]
+                each.append((out, x))
+            self._fits[key] = each
+        return self._fits[key]
+
+    def _error(self, fits: Sequence[LeftOut]) -> Tensor:
+        """Return the squared errors (B, n_dof) of blocks by fits without their folds."""
+        errors = torch.zeros(self._blocks.torque.shape[:2], dtype=torch.float64)
+        for out, x in fits:
+            errors[out] = self._blocks.select(out).squared_error(x)
+        return errors
+
+    def _between(self, fits: Sequence[LeftOut], others: Sequence[LeftOut]) -> Tensor:
+        """Return the squares (B, n_dof) of the torque by which two models' predictions of left-out blocks differ."""
+        squares = torch.zeros(self._blocks.torque.shape[:2], dtype=torch.float64)
+        for (out, x), (_, other) in zip(fits, others, strict=True):
+            squares[out] = self._blocks.select(out).added(x, other)[1].clamp_min(0.0)
+        return squares
 
 
 def elpd_of(
-    before: np.ndarray, after: np.ndarray, samples: np.ndarray, torque_share: float, place: int | None = None
+    before: np.ndarray,
+    after: np.ndarray,
+    between: np.ndarray,
+    samples: np.ndarray,
+    torque_share: float,
+    place: int | None = None,
 ) -> Elpd:
-    """Return the gain of a model over another one.
+    """Return what left-out blocks say for a model against another one.
 
     Args:
         before, after: (B, n_dof) squared errors of the other model and of this one, [(N m)^2] or [N^2].
+        between: (B, n_dof) squared differences of their predictions.
         samples: (B, n_dof) numbers of independent samples.
         torque_share: part of the torque that the difference carries.
         place: the joint whose share of error counts. Default: all.
@@ -135,7 +175,20 @@ def elpd_of(
     own = seen if place is None else seen & (np.arange(len(seen)) == place)
     shares = 1.0 - after[:, own].sum(0) / np.maximum(before[:, own].sum(0), 1e-300)
     se = float(np.std(d, ddof=1)) * math.sqrt(len(d))
-    return Elpd(float(d.sum()), se, float(shares.max(initial=-math.inf)), torque_share)
+    evidence = _log_evidence(d, (between[:, seen] / variance[seen]).sum(1))
+    return Elpd(float(d.sum()), se, evidence, float(shares.max(initial=-math.inf)), torque_share)
+
+
+def _log_evidence(d: np.ndarray, squares: np.ndarray) -> float:
+    """Return log B of gains d (B,) of log density, given |f|^2 (B,).
+
+    f' e is d + |f|^2 / 2 of the model without the term, and d - |f|^2 / 2 of the one with it.
+    """
+    felt = squares > 0.0
+    if not felt.any():
+        return 0.0
+    without, given = (float(((d + s * squares / 2.0)[felt] ** 2 / squares[felt]).sum()) for s in (1.0, -1.0))
+    return 0.5 * int(felt.sum()) * math.log(max(without, 1e-300) / max(given, 1e-300))
 
 
 def elpd_of_rows(
@@ -151,9 +204,10 @@ def elpd_of_rows(
     seen = np.isfinite(before[counted])
 
     def sums(of_rows: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(block, column) for column in np.where(seen, of_rows, 0.0).T], 1)
+        return np.stack([np.bincount(block, column) for column in np.where(seen, of_rows[counted], 0.0).T], 1)
 
-    return elpd_of(sums(before[counted] ** 2), sums(after[counted] ** 2), sums(np.ones(seen.shape)), torque_share)
+    errors, between = (sums(before**2), sums(after**2)), sums((before - after) ** 2)
+    return elpd_of(*errors, between, sums(np.ones(before.shape)), torque_share)
 
 
 def predicts_nothing(prepared: Prepared, model: FittedModel) -> bool:
@@ -167,13 +221,14 @@ def predicts_nothing(prepared: Prepared, model: FittedModel) -> bool:
     return bool(seen.any()) and float((errors[seen] / constant[seen]).mean()) > 1.0
 
 
-def unproven(proof: Proof, terms: Sequence[Candidate]) -> dict[Candidate, Elpd]:
+def unproven(
+    proof: Proof, terms: Sequence[Candidate], needed: Callable[[Candidate, Elpd], bool]
+) -> dict[Candidate, Elpd]:
     """Return the terms that a model does not need, in the order in which they were left out, and their worth then."""
     gone = dict[Candidate, Elpd]()
     while True:
         each = {term: proof.elpd(term, [*gone]) for term in terms if term not in gone}
-        # A curve has no name: it need only predict better.
-        needless = [term for term, elpd in each.items() if not (elpd.certain if is_curve(term) else elpd.proven)]
+        needless = [term for term, elpd in each.items() if not needed(term, elpd)]
         if not needless:
             return gone
         first = min(needless, key=lambda term: each[term].value)

@@ -10,6 +10,7 @@ import torch
 from torchrbd.dataset.block_statistics import Block
 from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.final_model import FinalModel
+from torchrbd.diagnosis.friction import OFFSET
 from torchrbd.diagnosis.held_out_checks import held_out_ratio
 from torchrbd.diagnosis.results import OWN_TIME, Finding, Ratio
 from torchrbd.effects import Site
@@ -20,14 +21,15 @@ class RefittedModels:
     """The model as it is first fitted, without some of its terms, each fitted once."""
 
     def __init__(self, extended: FinalModel) -> None:
-        self.prepared, self.first = extended.prepared, extended.first
+        self.prepared, self.first, self._offsets = extended.prepared, extended.first, extended.offsets_without
         self._friction, self._noise = len(extended.friction), extended.model.noise_variance
         self._fitted = dict[frozenset[Candidate], FittedModel]()
 
     def without(self, gone: Collection[Candidate]) -> FittedModel:
         """Return the model without some terms, and without those that need them.
 
-        Laws that refine baseline friction go with it; curves that could be a proxy for it are not in this model.
+        Laws that refine baseline friction go with it; curves that could be a proxy for it are not in this model. A law
+        with a level leaves an offset.
         """
         return self.given_shapes(gone) if gone else self.first
 
@@ -41,7 +43,8 @@ class RefittedModels:
     def _rest(self, gone: Collection[Candidate]) -> list[Candidate]:
         terms, columns = self.first.proper_terms, self.first.columns
         shared = {k for c in terms[: self._friction] if c in gone for k in columns.of(c)}
-        return [c for c in terms if c not in gone and not shared & set(columns.of(c))]
+        kept = [c for c in terms if c not in gone and not shared & set(columns.of(c))]
+        return [*kept, *self._offsets([c for c in gone if c.effect is not OFFSET], kept)]
 
     def error_without(self, gone: Sequence[Candidate]) -> Mapping[str, float]:
         """Return held-out nmse by joint without some terms."""

@@ -82,29 +82,30 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Elpd:
-    """What a term is worth on blocks of the fitted time, each predicted by a fit without it: cross-validation.
+    """What a term is worth on blocks of the fitted time, each predicted by fits without it: cross-validation.
 
     Attributes:
         value, se: gain of the expected log predictive density by the term, and its standard error over blocks [nats].
-        share: part of the squared error that it removes, at that joint of its own where this is largest.
+        log_evidence: log Bayes factor of these blocks, with noise whose scale they show, see ``proof`` [nats].
+        share: part of the squared error that the term removes, at that joint of its own where this is largest.
         torque_share: its torque over that of the joint while it acts, RMS, at that joint where this is largest.
     """
 
     value: float
     se: float
+    log_evidence: float
     share: float
     torque_share: float
 
     @property
     def certain(self) -> bool:
-        """Whether the gain is larger than chance allows."""
-        return self.value > DECISIONS.least_elpd * self.se
+        """Whether the gain of density is larger than its standard error."""
+        return self.value > self.se
 
     @property
-    def proven(self) -> bool:
-        """Whether the gain is certain, and worth a name."""
-        counts = self.share >= DECISIONS.least_error and self.torque_share >= DECISIONS.least_torque
-        return self.certain and counts
+    def matters(self) -> bool:
+        """Whether it is worth a name: whether the term is not practically equivalent to nothing."""
+        return self.share >= DECISIONS.least_error and self.torque_share >= DECISIONS.least_torque
 
 
 @dataclass(frozen=True)
@@ -192,6 +193,7 @@ class Finding(Stated):
         depends_on: signals of other joints that it depends on, e.g. "q_joint2".
         curve: the function that shows it best.
         family, family_probability: kind of effect, and the probability of some effect of that kind there.
+        class_probability: that it is there, or an effect that this data cannot distinguish from it.
         laws: the effects that explain the same.
         torque_rms: RMS of the torque that it carries, by joint [N m or N].
         elpd: what it is worth on left-out blocks of the fitted time; None where the torque does not show it.
@@ -217,6 +219,7 @@ class Finding(Stated):
     curve: Curve | None = None
     family: str = ""
     family_probability: float = 0.0
+    class_probability: float = 0.0
     laws: tuple[Law, ...] = ()
     torque_rms: dict[str, float] = field(default_factory=dict)
     elpd: Elpd | None = None
@@ -230,6 +233,12 @@ class Finding(Stated):
         values = [f"{name}: {q.value:.3g} ± {q.std:.2g} {q.unit}" for name, q in self.parameters.items()]
         place = ", ".join((*self.joints, *self.links)) or "whole robot"
         return brief(self, effect=self.effect, at=place, probability=self.probability, parameters=few(values))
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it, or what cannot be distinguished from it, is likelier than not, and matters on left-out blocks."""
+        likely = max(self.probability, self.class_probability) > DECISIONS.likely
+        return likely and (self.elpd is None or self.elpd.matters)
 
     @property
     def share(self) -> float:

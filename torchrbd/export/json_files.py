@@ -88,16 +88,18 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         nmse_before, nmse_after: by joint;
         statement: a sentence; depends_on: signals of other joints; curve: the function that shows it best, or null;
         family, family_probability; laws: effects that explain the same, each with its probability given one of them;
+        class_probability: that one of these laws is there;
         elpd: cross-validation on blocks of the fitted time: value, the gain of expected log predictive density by the
-            finding [nats], se, its standard error over blocks, share, the part of the squared error that it removes,
-            and torque_share, its part of the joint's torque while it acts; null where the torque does not show it;
+            finding [nats], se, its standard error over blocks, log_evidence, the log Bayes factor of these blocks
+            [nats], share, the part of the squared error that it removes, and torque_share, its part of the joint's
+            torque while it acts; null where the torque does not show it;
         torque_rms: by joint; share: of its joint's squared error that it removes;
         judged_on: the data of nmse and share. "held-out data"; "own window": each half of the effect's window is
             predicted by a fit to the other half, as held-out data has none of it; "": too short, nmse is empty;
         held_out_ratio: torque of the effect on held-out data over that fitted: value, low and high (95 %). 1: the same.
             null if held-out data has too little of it.
     held_out_ratio: the same of all that the extended model adds to a rigid body with baseline friction.
-    not_confirmed: effects as likely as findings that cross-validation does not confirm, in the same form.
+    not_confirmed: effects that the search found and cross-validation does not confirm, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.
     curve: signal ("q_joint2", "t", ...), at, torque and std, lists of one length in the order of drawing.
     locations: where models and robot differ, named or not: list of model ("rigid_body": re-fitted, with friction and an

@@ -6,7 +6,7 @@ import math
 from dataclasses import astuple
 
 from torchrbd.diagnosis.decisions import DECISIONS
-from torchrbd.diagnosis.results import HELD_OUT, Deflection, Elpd, Finding, Quantity, Where
+from torchrbd.diagnosis.results import HELD_OUT, Deflection, Finding, Quantity, Where
 from torchrbd.effects import known_effects
 from torchrbd.report.text.names import (
     alternatives,
@@ -48,7 +48,7 @@ def finding_statement(finding: Finding) -> str:
         return f"{deflection_statement(finding.deflection)} {shown}"
     more = "It adds to the same effect in all recordings." if finding.adds_to_all else ""
     sizes = _subject(finding), more, _no_size(finding)
-    parts = (*sizes, _not_proven(finding.elpd), _worth(finding), _alike(finding), _variant(finding))
+    parts = (*sizes, _not_confirmed(finding), _worth(finding), _alike(finding), _variant(finding))
     return " ".join(filter(None, parts))
 
 
@@ -79,13 +79,15 @@ def _no_size(finding: Finding) -> str:
     return f"{capital(names)} do not differ significantly from zero one by one; together they do."
 
 
-def _not_proven(elpd: Elpd | None) -> str:
-    """Say that cross-validation does not confirm it, if so."""
-    if elpd is None or elpd.proven:
+def _not_confirmed(finding: Finding) -> str:
+    """Say why cross-validation does not confirm it, if so."""
+    elpd = finding.elpd
+    if elpd is None or finding.confirmed:
         return ""
-    if not elpd.certain:
-        gain = f"{number(elpd.value)} nats, its standard error {number(elpd.se)}" if elpd.se > 0 else "unknown"
-        return f"Cross-validation does not confirm it: the gain of log predictive density is {gain}."
+    if elpd.matters or elpd.log_evidence <= 0.0:
+        left_out = f"{number(elpd.log_evidence)} nats" if elpd.se > 0.0 else "unknown"
+        search = f"{number(finding.log_evidence_gain)} nats in the search"
+        return f"Cross-validation does not confirm it: log evidence {left_out} on left-out blocks, {search}."
     share, torque = percent(max(elpd.share, 0.0)), percent(elpd.torque_share)
     return f"It is negligible: {share} of the squared error of left-out blocks, {torque} of the torque."
 
