@@ -11,6 +11,9 @@ laws are a little wrong on every machine, and noise is correlated. With the scal
 
     log B = B/2 log( sum_b c_b^2 (without) / sum_b c_b^2 (with) )
 
+What acts for a time, or in some recordings, is one of n windows between blocks, or sets of recordings, that the search
+might have chosen as well: log n is subtracted.
+
 The evidence that a search has from single rows counts no more than this: the probability of a finding uses the smaller
 one. Another score is for comparison: elpd, with the squared errors E_bj and its paired standard error over the blocks,
 
@@ -82,7 +85,16 @@ class Proof:
         carried, own = self._carried(term, gone, inside), inside.numpy()
         there = elpd_of(before[own], after[own], between[own], samples[own], carried, term.place)
         every = elpd_of(before[judged], after[judged], between[judged], samples[judged], carried, term.place)
-        return replace(every, share=there.share)
+        return replace(every, share=there.share, log_evidence=every.log_evidence - math.log(self._choices(term)))
+
+    def _choices(self, term: Candidate) -> int:
+        """Return of how many windows between blocks, or sets of recordings, a term's own is one."""
+        window, names = term.site.window, [block.recording for block in self._blocks.blocks]
+        if window is None:
+            return 1 if term.site.always else 2 ** len(set(names)) - 2
+        n = names.count(window.recording)
+        one_end = math.isinf(window.start_s) or math.isinf(window.end_s)
+        return max(2 * (n - 1) if one_end else n * (n - 1) // 2, 1)
 
     def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
         """Return the torque of a term over that of its joint while it acts, RMS, at the joint where that is largest."""
