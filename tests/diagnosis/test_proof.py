@@ -215,6 +215,16 @@ def test_what_is_not_there_is_not(no_drag: FinalModel) -> None:
     assert DRAG not in {f.effect for f in found.findings}
 
 
+def test_the_choice_of_a_shape_is_paid_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power law has an exponent: of those on its grid, one was chosen."""
+    model = with_laws([POWER], with_friction(at_joint(0, dragged)))
+    (power,) = model.terms
+    one, exponents = Proof(model).elpd(power), list(power.effect.shapes(model.model.columns.scale(power.site)))
+    assert len(exponents) > 1
+    monkeypatch.setattr(type(power.effect), "shapes", lambda *_: exponents[:1])
+    assert Proof(model).elpd(power) == paid(one, len(exponents))
+
+
 @pytest.mark.parametrize("there", [True, False])
 def test_blocks_are_predicted_as_by_fits_that_are_repeated(there: bool, drag: FinalModel, no_drag: FinalModel) -> None:
     model = drag if there else no_drag

@@ -11,8 +11,8 @@ laws are a little wrong on every machine, and noise is correlated. With the scal
 
     log B = B/2 log( sum_b c_b^2 (without) / sum_b c_b^2 (with) )
 
-What acts for a time, or in some recordings, is one of n windows between blocks, or sets of recordings, that the search
-might have chosen as well: log n is subtracted.
+A term is one of n that the search might have chosen as well: n is the number of shapes on its grid, times that of
+windows between blocks, or of sets of recordings, where it acts for a time or in some. So log n is subtracted.
 
 The evidence that a search has from single rows counts no more than this: the probability of a finding uses the smaller
 one. Another score is for comparison: elpd, with the squared errors E_bj and its paired standard error over the blocks,
@@ -88,13 +88,14 @@ class Proof:
         return replace(every, share=there.share, log_evidence=every.log_evidence - math.log(self._choices(term)))
 
     def _choices(self, term: Candidate) -> int:
-        """Return of how many windows between blocks, or sets of recordings, a term's own is one."""
-        window, names = term.site.window, [block.recording for block in self._blocks.blocks]
-        if window is None:
-            return 1 if term.site.always else 2 ** len(set(names)) - 2
-        n = names.count(window.recording)
-        one_end = math.isinf(window.start_s) or math.isinf(window.end_s)
-        return max(2 * (n - 1) if one_end else n * (n - 1) // 2, 1)
+        """Return of how many shapes, times windows between blocks, or sets of recordings, a term's own is one."""
+        site, names = term.site, [block.recording for block in self._blocks.blocks]
+        shapes = len(list(term.effect.shapes(self._model.columns.scale(site))))
+        if site.window is None:
+            return shapes * (1 if site.always else 2 ** len(set(names)) - 2)
+        n = names.count(site.window.recording)
+        one_end = math.isinf(site.window.start_s) or math.isinf(site.window.end_s)
+        return shapes * max(2 * (n - 1) if one_end else n * (n - 1) // 2, 1)
 
     def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
         """Return the torque of a term over that of its joint while it acts, RMS, at the joint where that is largest."""
