@@ -42,7 +42,7 @@ from torchrbd.diagnosis.evidence import ModelEvidence
 from torchrbd.diagnosis.explain import places
 from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.outcome import Term
-from torchrbd.diagnosis.posterior import as_predicted, log_odds
+from torchrbd.diagnosis.posterior import limit_evidence, log_odds
 from torchrbd.diagnosis.proof import Proof
 from torchrbd.effects.registry import effect
 from torchrbd.inference.physical.fitting import judge
@@ -160,7 +160,7 @@ def scored(model: FinalModel) -> list[Scored]:
                 ],
                 scores={
                     "evidence": odds,
-                    "left_out": log_odds(as_predicted(h, (), elpd)[0], rows),
+                    "left_out": log_odds(limit_evidence(h, (), elpd)[0], rows),
                     "elpd_final": over_se(final),
                     "elpd_saturated": over_se(curves),
                     "elpd": elpd.value / elpd.se if elpd.se else 0.0,

@@ -47,7 +47,7 @@ def test_findings_are_judged_in_the_model_that_is_reported(monkeypatch: pytest.M
     assert drag.effect.id == DRAG
 
     worthless = Elpd(3.0, 4.0, 0.5, 0.01, 0.3)
-    monkeypatch.setattr(explaining, "unproven", lambda *_: {drag: worthless})
+    monkeypatch.setattr(explaining, "backward_elimination", lambda *_: {drag: worthless})
     found = explain(model)
     assert found.model.terms == ()
     assert [(one.effect, one.elpd) for one in found.not_confirmed if one.effect == DRAG] == [(DRAG, worthless)]

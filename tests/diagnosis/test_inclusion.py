@@ -18,8 +18,9 @@ from torchrbd.diagnosis.outcome import Term
 from torchrbd.diagnosis.posterior import (
     EXPECTED,
     Inclusion,
-    as_predicted,
+    excess_evidence,
     inclusion,
+    limit_evidence,
     log_odds,
     prior_log_odds,
     probability_of,
@@ -195,13 +196,13 @@ def test_no_term_is_surer_than_left_out_blocks_make_it(rows: Rows, log_evidence:
     spring, rotor = (
         hypothesis(rows, name, Site(0), nats) for name, nats in (("joint_spring", 44.0), ("rotor_inertia", 40.0))
     )
-    own, (rival,) = as_predicted(spring, [rotor], left_out(log_evidence))
+    own, (rival,) = limit_evidence(spring, [rotor], left_out(log_evidence))
     prior = prior_log_odds(effect("joint_spring"), rows.columns.robot)
     assert log_odds(own, rows) == pytest.approx(min(log_odds(spring, rows), log_evidence + prior))
     assert own.log_evidence - rival.log_evidence == pytest.approx(4.0)
-    assert probability_of(44.0, log_evidence) == pytest.approx(
-        1.0 / (1.0 + math.exp(-min(calibrated(44.0), log_evidence)))
-    )
+    excess = excess_evidence(44.0, left_out(log_evidence))
+    assert calibrated(44.0 - excess) == pytest.approx(min(calibrated(44.0), log_evidence))
+    assert limit_evidence(spring, [rotor], None) == (spring, (rotor,))
 
 
 def test_a_law_that_is_not_needed_leaves_its_likeliest_part(rows: Rows) -> None:
@@ -213,7 +214,7 @@ def test_a_law_that_is_not_needed_leaves_its_likeliest_part(rows: Rows) -> None:
         hypothesis(rows, "quadratic_drag", Site(0), 50.0),
         hypothesis(rows, "torque_offset", Site(1), 40.0),
     )
-    part = Term(spring, (drag, elsewhere, offset)).part(rows, left_out(1.0))
+    part = Term(spring, (drag, elsewhere, offset)).nested_law(rows, left_out(1.0))
     assert part is not None
     assert part.own is offset
     assert [h.name for h in part.rivals] == [spring.name, drag.name, elsewhere.name]
@@ -221,5 +222,5 @@ def test_a_law_that_is_not_needed_leaves_its_likeliest_part(rows: Rows) -> None:
     assert more == pytest.approx(1.0 + prior_log_odds(effect("joint_spring"), rows.columns.robot))
     assert more < 0.0
     unlikely = replace(offset, log_evidence=1.0)
-    assert Term(spring, (drag, unlikely)).part(rows, left_out(1.0)) is None
-    assert Term(drag, (offset,)).part(rows, left_out(1.0)) is None
+    assert Term(spring, (drag, unlikely)).nested_law(rows, left_out(1.0)) is None
+    assert Term(drag, (offset,)).nested_law(rows, left_out(1.0)) is None

@@ -25,7 +25,7 @@ from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.explain import _is_needed, explain, torque_rms
 from torchrbd.diagnosis.final_model import FinalModel, fit_final_model
 from torchrbd.diagnosis.outcome import Term
-from torchrbd.diagnosis.proof import Proof, elpd_of, elpd_of_rows, unproven
+from torchrbd.diagnosis.proof import Proof, backward_elimination, elpd_of, elpd_of_rows
 from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.refitted_models import acts_in
 from torchrbd.diagnosis.results import Elpd, Finding
@@ -89,7 +89,7 @@ def assert_alike(one: Elpd, other: Elpd) -> None:
     assert one.share == pytest.approx(other.share, abs=3e-3)
 
 
-def paid(one: Elpd, choices: int) -> Elpd:
+def before_price(one: Elpd, choices: int) -> Elpd:
     """Return the same without the price of a choice."""
     return replace(one, log_evidence=one.log_evidence + math.log(choices))
 
@@ -194,13 +194,13 @@ def needed(term: Candidate, elpd: Elpd) -> bool:
 def test_what_is_there_is_proven(drag: FinalModel) -> None:
     proof, (term,) = Proof(drag), drag.terms
     one = proof.elpd(term)
-    assert one.value > one.se > 0.0
+    assert one.value > DECISIONS.least_elpd * one.se > 0.0
     assert one.share > 0.9
     assert one.log_evidence > 20.0
     count, _, square = drag.prepared.training.torque.sum(0)[0].tolist()
     expected = torque_rms(term, drag)[FIRST] / math.sqrt(square / count)
     assert one.torque_share == pytest.approx(expected, rel=1e-3)
-    assert unproven(proof, drag.terms, needed) == {}
+    assert backward_elimination(proof, drag.terms, needed) == {}
     assert [(f.effect, f.elpd) for f in explain(drag).findings if f.effect == DRAG] == [(DRAG, one)]
 
 
@@ -209,7 +209,7 @@ def test_what_is_not_there_is_not(no_drag: FinalModel) -> None:
     one = proof.elpd(term)
     assert one.share < DECISIONS.least_error
     assert one.log_evidence < 1.0
-    assert unproven(proof, no_drag.terms, needed) == {term: one}
+    assert backward_elimination(proof, no_drag.terms, needed) == {term: one}
     found = explain(no_drag)
     assert found.model.terms == ()
     assert DRAG not in {f.effect for f in found.findings}
@@ -222,7 +222,21 @@ def test_the_choice_of_a_shape_is_paid_for(monkeypatch: pytest.MonkeyPatch) -> N
     one, exponents = Proof(model).elpd(power), list(power.effect.shapes(model.model.columns.scale(power.site)))
     assert len(exponents) > 1
     monkeypatch.setattr(type(power.effect), "shapes", lambda *_: exponents[:1])
-    assert Proof(model).elpd(power) == paid(one, len(exponents))
+    assert Proof(model).elpd(power) == before_price(one, len(exponents))
+
+
+def test_each_choice_of_the_search_counts(drag: FinalModel) -> None:
+    """One recording alone has no subsets to choose among; a window has two ends among its blocks, or one."""
+    proof, (term,) = Proof(drag), drag.terms
+    n = len(drag.prepared.judging_fitted.blocks)
+    name = drag.prepared.judging_fitted.blocks[0].recording
+    times = {
+        Site(0): 1,
+        Site(0, recordings=(name,)): 1,
+        Site(0, window=Window(name, 5.0, 9.0)): n * (n - 1) // 2,
+        Site(0, window=Window(name, 5.0)): 2 * (n - 1),
+    }
+    assert {site: proof._choices(replace(term, site=site)) for site in times} == times
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -260,7 +274,7 @@ def test_what_carries_next_to_nothing_has_no_name() -> None:
     assert one.log_evidence > 5.0
     assert one.share > 0.2
     assert 0.0004 < one.torque_share < DECISIONS.least_torque
-    assert unproven(proof, [term], needed) == {term: one}
+    assert backward_elimination(proof, [term], needed) == {term: one}
     found = explain(small)
     assert DRAG not in {f.effect for f in found.findings}
     assert found.model.terms == ()
@@ -271,7 +285,7 @@ def test_of_terms_that_stand_in_for_each_other_one_is_left_out() -> None:
     model = with_laws([DRAG, POWER], with_friction(at_joint(0, dragged)))
     proof, (drag, power) = Proof(model), model.terms
     assert not needed(power, proof.elpd(power))
-    assert list(unproven(proof, [drag, power], needed)) == [power]
+    assert list(backward_elimination(proof, [drag, power], needed)) == [power]
     alone = proof.elpd(drag, [power])
     assert needed(drag, alone)
     assert alone.share > 0.9
@@ -307,9 +321,9 @@ def test_what_is_least_useful_goes_first_and_the_others_are_judged_without_it() 
         return each[name]
 
     certain = lambda _, elpd: elpd.certain  # noqa: E731
-    gone = unproven(Told(worth), terms, certain)  # type: ignore[arg-type]
+    gone = backward_elimination(Told(worth), terms, certain)  # type: ignore[arg-type]
     assert {term.name: elpd.value for term, elpd in gone.items()} == {"spring": -0.2, "backlash": -3.0}  # type: ignore[attr-defined]
-    assert unproven(Told(lambda *_: 9.0), terms, certain) == {}  # type: ignore[arg-type]
+    assert backward_elimination(Told(lambda *_: 9.0), terms, certain) == {}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("loaded", [True, False])
@@ -324,7 +338,7 @@ def test_what_acts_for_a_time_is_cross_validated_there(loaded: bool) -> None:
     one = proof.elpd(term)
     # It begins between two blocks and lasts.
     windows = 2 * (sum(block.recording == "first" for block in blocks) - 1)
-    assert_alike(paid(one, windows), repeated(model, term, [[k] for k in inside]))
+    assert_alike(before_price(one, windows), repeated(model, term, [[k] for k in inside]))
     assert needed(term, one) is loaded
     assert (one.share > 0.5) is loaded
     if loaded:
@@ -346,7 +360,7 @@ def test_what_acts_in_one_recording_must_not_make_others_worse(everywhere: bool)
     others = [[k for k, block in enumerate(blocks) if block.recording == name] for name in ("more 0", "more 1")]
     one = proof.elpd(term)
     windows = 2 * (sum(block.recording == "first" for block in blocks) - 1)
-    assert_alike(paid(one, windows), replace(repeated(model, term, [*inside, *others]), share=one.share))
+    assert_alike(before_price(one, windows), replace(repeated(model, term, [*inside, *others]), share=one.share))
     assert one.share > 0.5
     assert needed(term, one) is not everywhere
 
@@ -357,7 +371,7 @@ def test_a_time_of_one_block_proves_nothing() -> None:
     (term,) = brief.terms
     nothing = Elpd(0.0, 0.0, 0.0, 0.0, 0.0)
     assert Proof(brief).elpd(term) == nothing
-    assert unproven(Proof(brief), [term], needed) == {term: nothing}
+    assert backward_elimination(Proof(brief), [term], needed) == {term: nothing}
 
 
 def test_curves_need_only_predict_better() -> None:

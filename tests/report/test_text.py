@@ -330,6 +330,14 @@ def test_a_sentence_says_why_cross_validation_does_not_confirm_it(probability: f
     assert replace(plain, elpd=elpd).statement == f"{begin}{mark}{words}{rest}"
 
 
+def test_what_is_not_confirmed_is_not_said_to_differ_from_zero() -> None:
+    """Two numbers whose intervals hold zero may differ from zero together, if cross-validation confirms them."""
+    small = {"p": Quantity(0.1, 9.0, "kg"), "r": Quantity(0.1, 9.0, "kg")}
+    one = replace(finding("backlash", "joint1"), parameters=small, elpd=Elpd(40.0, 5.0, 12.0, 0.8, 0.3))
+    assert "together they do" in replace(one, probability=0.9).statement
+    assert "together they do" not in replace(one, probability=0.2).statement
+
+
 def test_another_variant_is_asked_for() -> None:
     said = finding("geometry_error", "joint2", variant=Variant("upper", 0.42, 0.3)).statement
     assert "It would be 0.42 m from the origin of upper; the URDF says 0.3 m." in said

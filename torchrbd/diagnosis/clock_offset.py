@@ -13,7 +13,7 @@ import numpy as np
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.final_model import FinalModel
-from torchrbd.diagnosis.posterior import prior_log_odds, probabilities
+from torchrbd.diagnosis.posterior import excess_evidence, prior_log_odds, probabilities
 from torchrbd.diagnosis.proof import elpd_of_rows
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.results import Alternative, Elpd, Finding, Law, Quantity, Where
@@ -37,8 +37,8 @@ def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identifi
     if not found or probabilities(logs).sum() <= DECISIONS.likely:
         return None
     before, after, carried, worth = _worth(extended, identification)
-    less = min(0.0, worth.log_evidence - calibrated(max(h.log_evidence for h in found)))
-    sure = probabilities([one + less for one in logs])
+    excess = excess_evidence(max(h.log_evidence for h in found), worth)
+    sure = probabilities([one - excess for one in logs])
     order = np.argsort(-sure, kind="stable")
     best, *others = (found[k] for k in order)
     late, std = _offset(ranked, extended.prepared)

@@ -14,6 +14,7 @@ class Decisions:
         largest_probability: no probability is reported above it.
         least_law: probability from which an effect counts as another explanation of a finding.
         no_change: relative change of a held-out error that cannot be distinguished from none.
+        least_elpd: standard errors by which a smooth curve must improve the prediction of left-out blocks.
         least_torque, least_error: region of practical equivalence: what carries less than this part of its joint's
             torque while it acts, or removes less than this part of the error of left-out blocks, has no name.
         negligible_torque: a drift below this part of its joint's torque is not reported.
@@ -37,6 +38,7 @@ class Decisions:
     largest_probability: float = 0.999
     least_law: float = 0.05
     no_change: float = 0.02
+    least_elpd: float = 1.0
     least_torque: float = 0.001
     least_error: float = 0.05
     negligible_torque: float = 0.01

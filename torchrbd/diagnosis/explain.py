@@ -18,8 +18,15 @@ from torchrbd.diagnosis.final_model import FinalModel
 from torchrbd.diagnosis.friction import COULOMB, OFFSET, UNEVEN, Friction
 from torchrbd.diagnosis.hypotheses import Hypothesis, whole
 from torchrbd.diagnosis.outcome import SearchOutcome
-from torchrbd.diagnosis.posterior import Inclusion, as_predicted, inclusion, log_odds, probability_of
-from torchrbd.diagnosis.proof import Proof, unproven
+from torchrbd.diagnosis.posterior import (
+    Inclusion,
+    excess_evidence,
+    inclusion,
+    limit_evidence,
+    log_odds,
+    probability_of,
+)
+from torchrbd.diagnosis.proof import Proof, backward_elimination
 from torchrbd.diagnosis.ranked import Ranked, Ranking
 from torchrbd.diagnosis.ranking import SearchResult
 from torchrbd.diagnosis.refitted_models import RefittedModels
@@ -65,8 +72,8 @@ class Explained:
 def explain(extended: FinalModel) -> Explained:
     """Describe what was found, and what left-out blocks confirm of it; the model is left with what it needs."""
     proof = Proof(extended)
-    states = [term for term in extended.terms if term.effect is not HUM]
-    gone = unproven(proof, states, partial(_is_needed, extended))
+    judged = [term for term in extended.terms if term.effect is not HUM]
+    gone = backward_elimination(proof, judged, partial(_is_needed, extended))
     dropped = [_judged(term, one, proof.fits) for term, one in _described(extended, gone) if term in gone]
     if gone:
         extended = extended.without(gone)
@@ -85,7 +92,7 @@ def _is_needed(extended: FinalModel, term: Candidate, elpd: Elpd) -> bool:
         return elpd.certain
     found = extended.found
     one = found.terms[extended.terms.index(term)]
-    return elpd.matters and log_odds(as_predicted(one.own, one.rivals, elpd)[0], found.rows) > 0.0
+    return elpd.matters and log_odds(limit_evidence(one.own, one.rivals, elpd)[0], found.rows) > 0.0
 
 
 def _judged(term: Candidate, one: Finding, fits: RefittedModels) -> Finding:
@@ -132,11 +139,11 @@ def _sure(extended: FinalModel, worth: Mapping[Candidate, Elpd]) -> Iterator[tup
     found, terms = extended.found, extended.model.proper_terms
     for friction, c in zip(extended.friction, terms, strict=False):
         if friction.probability > DECISIONS.likely:
-            p = probability_of(friction.log_evidence, worth[c].log_evidence if c in worth else math.inf)
+            p = probability_of(friction.log_evidence - excess_evidence(friction.log_evidence, worth.get(c)))
             yield c, friction.log_evidence, Inclusion(p * friction.law, p, p, _laws(friction, c, extended))
     for term, c in zip(found.terms, extended.terms, strict=True):
         if not is_curve(c):
-            own, rivals = as_predicted(term.own, term.rivals, worth[c]) if c in worth else (term.own, term.rivals)
+            own, rivals = limit_evidence(term.own, term.rivals, worth.get(c))
             yield c, term.own.log_evidence, inclusion(own, rivals, found.rows)
 
 

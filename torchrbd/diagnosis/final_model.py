@@ -64,22 +64,25 @@ class FinalModel:
     friction: tuple[Friction, ...]
     terms: tuple[Candidate, ...]
     open: tuple[np.ndarray, ...]
-    may: tuple[str, ...] = ()
+    may: tuple[str, ...]
 
     def without(self, gone: Mapping[Candidate, Elpd]) -> FinalModel:
         """Return the fit without some of its ``terms``, all else at the shapes, and in the noise, that it has.
 
-        A law of which a simpler one is a part leaves that, if it is likelier than not. Baseline friction may have been
-        absorbed by what is gone, and is weighed again.
+        A law leaves one that is nested in it, such as a spring an offset, if that is likelier than not. Baseline friction
+        may have been absorbed by what is gone, and is weighed again.
+
+        Args:
+            gone: these terms, and what left-out blocks say of each.
         """
         fit, columns, each = self.found.fit, self.model.columns, list[tuple[Term, Candidate, Extra]]()
         for term, c, extra in zip(self.found.terms, self.terms, fit.extra, strict=True):
             if c not in gone:
                 each.append((term, c, extra))
-            elif (part := term.part(self.found.rows, gone[c])) is not None:
-                own = part.own.candidate
+            elif (nested := term.nested_law(self.found.rows, gone[c])) is not None:
+                own = nested.own.candidate
                 each.append(
-                    (part, columns.candidate(own.effect, own.site, own.shape), part.own.extra(fit, self.found.rows))
+                    (nested, columns.candidate(own.effect, own.site, own.shape), nested.own.extra(fit, self.found.rows))
                 )
         terms, fit = tuple(c for _, c, _ in each), fit.extended([extra for _, _, extra in each])
         found = replace(self.found, fit=fit, terms=tuple(term for term, _, _ in each))

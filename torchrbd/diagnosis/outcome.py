@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.discrepancy import Discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.posterior import as_predicted, log_odds
+from torchrbd.diagnosis.posterior import limit_evidence, log_odds
 from torchrbd.diagnosis.results import Elpd
 from torchrbd.likelihood.likelihood import Likelihood
 
@@ -19,7 +19,7 @@ class Term:
     own: Hypothesis
     rivals: tuple[Hypothesis, ...]
 
-    def part(self, rows: Rows, elpd: Elpd) -> Term | None:
+    def nested_law(self, rows: Rows, elpd: Elpd) -> Term | None:
         """Return the likeliest rival that is this law with some columns at zero, in its place; None if none is likely.
 
         The law is the rival and these columns: its odds against the rival are those of the columns alone.
@@ -33,7 +33,7 @@ class Term:
         best = max(parts, key=lambda h: log_odds(h, rows), default=None)
         if best is None or log_odds(best, rows) <= 0.0:
             return None
-        (alone, _), odds = as_predicted(self.own, (), elpd), log_odds(self.own, rows)
+        (alone, _), odds = limit_evidence(self.own, (), elpd), log_odds(self.own, rows)
         more = log_odds(best, rows) + min(log_odds(alone, rows), 0.0) - odds
         own = replace(self.own, log_evidence=self.own.log_evidence + more)
         return Term(best, (own, *(h for h in self.rivals if h is not best)))

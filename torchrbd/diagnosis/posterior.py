@@ -73,9 +73,9 @@ def _so_briefly(c: Candidate) -> float:
     return -0.5 * (min(math.log((window.end_s - window.start_s) / usual), 0.0) / _TIMES_STD) ** 2
 
 
-def probability_of(log_evidence: float, most: float = math.inf) -> float:
-    """Return the probability of what is as likely as not before the data; no evidence counts more than ``most``."""
-    return float(expit(min(calibrated(log_evidence), most)))
+def probability_of(log_evidence: float) -> float:
+    """Return the probability of what is as likely as not before the data."""
+    return float(expit(calibrated(log_evidence)))
 
 
 @lru_cache(maxsize=1024)
@@ -83,12 +83,17 @@ def _places(effect: Effect, robot: RobotModel) -> int:
     return max(len(effect.sites(robot)), len(effect.sites(robot, (Window(""),))), 1)
 
 
-def as_predicted(
-    own: Hypothesis, rivals: Sequence[Hypothesis], elpd: Elpd
+def excess_evidence(log_evidence: float, elpd: Elpd | None) -> float:
+    """Return by how much evidence of rows exceeds that of left-out blocks, see ``proof``; zero without these."""
+    return 0.0 if elpd is None else max(calibrated(log_evidence) - elpd.log_evidence, 0.0)
+
+
+def limit_evidence(
+    own: Hypothesis, rivals: Sequence[Hypothesis], elpd: Elpd | None
 ) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
-    """Return a term and its rivals with no more evidence than left-out blocks give for the term, see ``proof``."""
-    less = min(0.0, elpd.log_evidence - calibrated(own.log_evidence))
-    own, *others = (replace(h, log_evidence=h.log_evidence + less) for h in (own, *rivals))
+    """Return a term and its rivals with no more evidence than left-out blocks give for the term."""
+    excess = excess_evidence(own.log_evidence, elpd)
+    own, *others = (replace(h, log_evidence=h.log_evidence - excess) for h in (own, *rivals))
     return own, tuple(others)
 
 

@@ -7,17 +7,18 @@ s_j of the fits with the term, the residual along that torque is
     c_b = sum_j f_bj' e_bj / s_j^2 / |f_b|,   |f_b|^2 = sum_j |f_bj|^2 / s_j^2
 
 If the term is there, c_b is noise with it; if it is not, c_b is noise without it. The scale of that noise is unknown:
-laws are a little wrong on every machine, and noise is correlated. With the scale integrated out over Jeffreys' prior,
+laws are a little wrong on every machine, and noise is correlated. With the scale integrated out over Jeffreys' prior, N
+blocks say
 
-    log B = B/2 log( sum_b c_b^2 (without) / sum_b c_b^2 (with) )
+    log B = N/2 log( sum_b c_b^2 (without) / sum_b c_b^2 (with) )
 
 A term is one of n that the search might have chosen as well: n is the number of shapes on its grid, times that of
 windows between blocks, or of sets of recordings, where it acts for a time or in some. So log n is subtracted.
 
 The evidence that a search has from single rows counts no more than this: the probability of a finding uses the smaller
-one. Another score is for comparison: elpd, with the squared errors E_bj and its paired standard error over the blocks,
+one. Smooth curves have no name. They are judged by elpd, with the squared errors E_bj and its standard error,
 
-    elpd = sum_b d_b,   d_b = sum_j (E_bj(without) - E_bj(with)) / (2 s_j^2),   se = std(d_b) sqrt(B)
+    elpd = sum_b d_b,   d_b = sum_j (E_bj(without) - E_bj(with)) / (2 s_j^2),   se = std(d_b) sqrt(N)
 
 Terms that are less likely than not then, or negligible (see ``Elpd``), are left out of the model one at a time, the
 least useful first: each that remains is needed given the others. Held-out recordings have no part in this.
@@ -90,12 +91,15 @@ class Proof:
     def _choices(self, term: Candidate) -> int:
         """Return of how many shapes, times windows between blocks, or sets of recordings, a term's own is one."""
         site, names = term.site, [block.recording for block in self._blocks.blocks]
-        shapes = len(list(term.effect.shapes(self._model.columns.scale(site))))
-        if site.window is None:
-            return shapes * (1 if site.always else 2 ** len(set(names)) - 2)
-        n = names.count(site.window.recording)
-        one_end = math.isinf(site.window.start_s) or math.isinf(site.window.end_s)
-        return shapes * max(2 * (n - 1) if one_end else n * (n - 1) // 2, 1)
+        shapes, window = len(list(term.effect.shapes(self._model.columns.scale(site)))), site.window
+        if site.always:
+            times = 1
+        elif window is None:
+            times = 2 ** len(set(names)) - 2
+        else:
+            n = names.count(window.recording)
+            times = 2 * (n - 1) if math.inf in (-window.start_s, window.end_s) else n * (n - 1) // 2
+        return shapes * max(times, 1)
 
     def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
         """Return the torque of a term over that of its joint while it acts, RMS, at the joint where that is largest."""
@@ -234,7 +238,7 @@ def predicts_nothing(prepared: Prepared, model: FittedModel) -> bool:
     return bool(seen.any()) and float((errors[seen] / constant[seen]).mean()) > 1.0
 
 
-def unproven(
+def backward_elimination(
     proof: Proof, terms: Sequence[Candidate], needed: Callable[[Candidate, Elpd], bool]
 ) -> dict[Candidate, Elpd]:
     """Return the terms that a model does not need, in the order in which they were left out, and their worth then."""

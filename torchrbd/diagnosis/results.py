@@ -99,8 +99,8 @@ class Elpd:
 
     @property
     def certain(self) -> bool:
-        """Whether the gain of density is larger than its standard error."""
-        return self.value > self.se
+        """Whether the gain of density is larger than chance allows."""
+        return self.value > DECISIONS.least_elpd * self.se
 
     @property
     def matters(self) -> bool:

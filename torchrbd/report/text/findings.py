@@ -47,7 +47,7 @@ def finding_statement(finding: Finding) -> str:
         )
         return f"{deflection_statement(finding.deflection)} {shown}"
     more = "It adds to the same effect in all recordings." if finding.adds_to_all else ""
-    sizes = _subject(finding), more, _no_size(finding)
+    sizes = _subject(finding), more, _no_size(finding) if finding.confirmed else ""
     parts = (*sizes, _not_confirmed(finding), _worth(finding), _alike(finding), _variant(finding))
     return " ".join(filter(None, parts))
 
