@@ -69,8 +69,8 @@ class FinalModel:
     def without(self, gone: Mapping[Candidate, Elpd]) -> FinalModel:
         """Return the fit without some of its ``terms``, all else at the shapes, and in the noise, that it has.
 
-        A law leaves one that is nested in it, such as a spring an offset, if that is likelier than not. Baseline friction
-        may have been absorbed by what is gone, and is weighed again.
+        A law leaves one that is nested in it, as a spring an offset, if that is likelier than not. What is gone may
+        have absorbed baseline friction, which is weighed again.
 
         Args:
             gone: these terms, and what left-out blocks say of each.
