@@ -235,6 +235,8 @@ def test_worth_of_the_extended_model_is_shown_where_it_has_something(tmp_path):
     assert "White noise below 5 Hz has 0.1 s" in text
     cells = re.findall(r'<td class="([^"]*)">[^<]* to ', page)
     assert [" ".join(c.split()) for c in cells] == ["group best", "best", "group worse", ""]
+    hardly = HeldOutCheck("joint3", worse | {"baseline": Ratio(1.01, 1.005, 1.02)}, memory, 0.0999)
+    assert "group worse" not in " ".join(render(replace(result, held_out_checks=(hardly,)), tmp_path).split())
     for without in (replace(result, findings=()), replace(result, held_out_checks=()), result.identification):
         assert "autocorrelation" not in render(without, tmp_path)
 

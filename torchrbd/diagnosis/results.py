@@ -79,6 +79,11 @@ class Ratio:
     low: float
     high: float
 
+    @property
+    def exceeds_one(self) -> bool:
+        """Whether it is significantly above one, and by more than cannot be distinguished from no change."""
+        return self.low > 1.0 and self.value > 1.0 + DECISIONS.no_change
+
 
 @dataclass(frozen=True)
 class Elpd:

@@ -156,7 +156,7 @@ def _doubts(result: Diagnosis) -> Iterable[str]:
 def _held_out_errors(result: Diagnosis) -> Iterable[str]:
     """Yield where held-out errors are larger than the baseline's, or findings smaller than fitted."""
     worse_than = {
-        words: {p.joint: p.over[model] for p in result.held_out_checks if _is_worse(p.over[model])}
+        words: {p.joint: p.over[model] for p in result.held_out_checks if p.over[model].exceeds_one}
         for model, words in (("baseline", "least squares with friction"), ("urdf", f"the {model_words(result)}"))
     }
     for words, worse in worse_than.items():
@@ -173,11 +173,6 @@ def _held_out_errors(result: Diagnosis) -> Iterable[str]:
             "The findings are smaller on held-out data than fitted: the robot or its motion differed, or a finding is "
             "a proxy."
         )
-
-
-def _is_worse(ratio: Ratio) -> bool:
-    """Say whether an error is certainly larger than another one, and by more than nobody would mind."""
-    return ratio.low > 1.0 and ratio.value > 1.0 + DECISIONS.no_change
 
 
 def _judged(result: Diagnosis) -> list[str]:
