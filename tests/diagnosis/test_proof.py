@@ -225,20 +225,6 @@ def test_the_choice_of_a_shape_is_paid_for(monkeypatch: pytest.MonkeyPatch) -> N
     assert Proof(model).elpd(power) == before_price(one, len(exponents))
 
 
-def test_each_choice_of_the_search_counts(drag: FinalModel) -> None:
-    """One recording alone has no subsets to choose among; a window has two ends among its blocks, or one."""
-    proof, (term,) = Proof(drag), drag.terms
-    n = len(drag.prepared.judging_fitted.blocks)
-    name = drag.prepared.judging_fitted.blocks[0].recording
-    times = {
-        Site(0): 1,
-        Site(0, recordings=(name,)): 1,
-        Site(0, window=Window(name, 5.0, 9.0)): n * (n - 1) // 2,
-        Site(0, window=Window(name, 5.0)): 2 * (n - 1),
-    }
-    assert {site: proof._choices(replace(term, site=site)) for site in times} == times
-
-
 @pytest.mark.parametrize("there", [True, False])
 def test_blocks_are_predicted_as_by_fits_that_are_repeated(there: bool, drag: FinalModel, no_drag: FinalModel) -> None:
     model = drag if there else no_drag

@@ -43,6 +43,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.diagnosis.curve_hypotheses import has_friction
 from torchrbd.diagnosis.final_model import FinalModel, with_curves
 from torchrbd.diagnosis.friction import OFFSET
+from torchrbd.diagnosis.left_out import count_choices, log_evidence
 from torchrbd.diagnosis.refitted_models import RefittedModels, acts_in
 from torchrbd.diagnosis.results import Elpd
 from torchrbd.inference.physical.fitting import FittedModel
@@ -69,6 +70,7 @@ class Proof:
         self._curves = [term for term in extended.terms if has_friction(term)]
         self._brief = [term for term in extended.terms if term.site.window is not None]
         self._blocks, self._fits = self._prepared.judging_fitted, dict[tuple[object, ...], list[LeftOut]]()
+        self._recordings = [block.recording for block in self._blocks.blocks]
 
     def elpd(self, term: Candidate, gone: Sequence[Candidate] = ()) -> Elpd:
         """Return what a term is worth in the model without those that are gone; a law with a level, over an offset.
@@ -86,20 +88,8 @@ class Proof:
         carried, own = self._carried(term, gone, inside), inside.numpy()
         there = elpd_of(before[own], after[own], between[own], samples[own], carried, term.place)
         every = elpd_of(before[judged], after[judged], between[judged], samples[judged], carried, term.place)
-        return replace(every, share=there.share, log_evidence=every.log_evidence - math.log(self._choices(term)))
-
-    def _choices(self, term: Candidate) -> int:
-        """Return of how many shapes, times windows between blocks, or sets of recordings, a term's own is one."""
-        site, names = term.site, [block.recording for block in self._blocks.blocks]
-        shapes, window = len(list(term.effect.shapes(self._model.columns.scale(site)))), site.window
-        if site.always:
-            times = 1
-        elif window is None:
-            times = 2 ** len(set(names)) - 2
-        else:
-            n = names.count(window.recording)
-            times = 2 * (n - 1) if math.inf in (-window.start_s, window.end_s) else n * (n - 1) // 2
-        return shapes * max(times, 1)
+        price = math.log(count_choices(term, self._model.columns, self._recordings))
+        return replace(every, share=there.share, log_evidence=every.log_evidence - price)
 
     def _carried(self, term: Candidate, gone: Sequence[Candidate], inside: Tensor) -> float:
         """Return the torque of a term over that of its joint while it acts, RMS, at the joint where that is largest."""
@@ -126,10 +116,9 @@ class Proof:
                 own = inside & self._acting(brief)
                 fold[own] = torch.arange(int(own.sum())) % FOLDS
         if not term.site.always:
-            names = [block.recording for block in self._blocks.blocks]
-            here = {name for name, own in zip(names, inside.tolist(), strict=True) if own}
-            for k, other in enumerate(dict.fromkeys(name for name in names if name not in here)):
-                fold[torch.tensor([name == other for name in names])] = n + k
+            here = {name for name, own in zip(self._recordings, inside.tolist(), strict=True) if own}
+            for k, other in enumerate(dict.fromkeys(name for name in self._recordings if name not in here)):
+                fold[torch.tensor([name == other for name in self._recordings])] = n + k
         return inside, fold
 
     def _acting(self, term: Candidate) -> Tensor:
@@ -192,20 +181,8 @@ def elpd_of(
     own = seen if place is None else seen & (np.arange(len(seen)) == place)
     shares = 1.0 - after[:, own].sum(0) / np.maximum(before[:, own].sum(0), 1e-300)
     se = float(np.std(d, ddof=1)) * math.sqrt(len(d))
-    evidence = _log_evidence(d, (between[:, seen] / variance[seen]).sum(1))
+    evidence = log_evidence(d, (between[:, seen] / variance[seen]).sum(1))
     return Elpd(float(d.sum()), se, evidence, float(shares.max(initial=-math.inf)), torque_share)
-
-
-def _log_evidence(d: np.ndarray, squares: np.ndarray) -> float:
-    """Return log B of gains d (B,) of log density, given |f|^2 (B,).
-
-    f' e is d + |f|^2 / 2 of the model without the term, and d - |f|^2 / 2 of the one with it.
-    """
-    felt = squares > 0.0
-    if not felt.any():
-        return 0.0
-    without, given = (float(((d + s * squares / 2.0)[felt] ** 2 / squares[felt]).sum()) for s in (1.0, -1.0))
-    return 0.5 * int(felt.sum()) * math.log(max(without, 1e-300) / max(given, 1e-300))
 
 
 def elpd_of_rows(

@@ -1,14 +1,18 @@
-"""Search for the effects that explain the recordings: hypotheses are added, swapped and dropped by evidence alone.
+"""Search for the effects that explain the recordings: hypotheses are added, swapped and dropped by their evidence.
 
-The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has. Then
-each is compared with its rivals, given all others: it is swapped if a rival is likelier, and dropped if none is needed.
+The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has. When
+none is left, terms that do not predict left-out blocks are dropped, and from then on a term has to: evidence of rows
+grows with their number, and on every machine a little is wrong that nearby laws absorb. A model that lacks much cannot
+be judged so; therefore it grows first. Then each term is compared with its rivals, given all others: it is swapped if
+a rival is likelier, and dropped if none is needed.
 Noise is held, see ``discrepancy``: nothing but coefficients, and amplitudes of curves, is learnt with a hypothesis.
 What no law explains is left to curves; those over other joints' states, and further tones, are tried last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,12 +24,13 @@ from torchrbd.diagnosis.curve_hypotheses import curves, is_curve, is_over_own_si
 from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
 from torchrbd.diagnosis.evidence import Key, ModelEvidence, key_of, show_bodies
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
+from torchrbd.diagnosis.left_out import left_out_evidence
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.posterior import needless
 from torchrbd.diagnosis.screening import refine_shape, screen, screen_lasting
 from torchrbd.diagnosis.sharpening import find_summit
 from torchrbd.diagnosis.windows import PlaceFilter, anywhere
-from torchrbd.effects import Effect, Site
+from torchrbd.effects import Effect, Site, Window
 from torchrbd.likelihood.likelihood import Likelihood
 
 MOST_TERMS = 24
@@ -35,6 +40,11 @@ _NEAR, _RIVALS, _SWEEPS = 6, 3, 2
 _LOADS, _SAME = 3, 1.0
 # Part that one step is of the work that is left; how many there will be, nobody knows.
 _STEP = 1 / 8
+
+Kind = tuple[tuple[str, Site], Window | None]
+"""Effect and place of a hypothesis, and its window."""
+Drop = Callable[[list[Hypothesis]], list[Hypothesis]]
+"""Drops terms of a model."""
 
 
 def search_effects(
@@ -88,6 +98,7 @@ class Search(ModelEvidence):
         discrepancy: curves and noise.
         report: called after each step with the part of the work that is done.
         done: that part so far.
+        rejected: kinds of hypotheses that do not predict left-out blocks, and the evidence of these.
     """
 
     def __init__(
@@ -97,9 +108,10 @@ class Search(ModelEvidence):
         discrepancy: Discrepancy,
         report: Callable[[float], None] = lambda _: None,
         done: float = 0.0,
+        rejected: Mapping[Kind, float] | None = None,
     ) -> None:
         super().__init__(rows, effects, discrepancy)
-        self._report, self._done = report, done
+        self._report, self._done, self._rejected = report, done, dict(rejected or {})
         # Models and terms for which no rival was likelier.
         self._no_likelier_rival = set[tuple[Key, Key]]()
 
@@ -161,16 +173,22 @@ class Search(ModelEvidence):
 
     def improve(self, chosen: list[Hypothesis], found: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return the terms of a model, and what else was considered: add, then swap and drop, until nothing changes."""
-        chosen, found = self._add(chosen, found)
+        chosen, found = self._add(chosen, found, self._drop_needless)
+        supported = self._drop_unsupported(chosen)
+        if len(supported) < len(chosen):
+            supported, found = self._add(supported, self.rank(supported), self._drop_unsupported)
+        chosen = supported
         for _ in range(_SWEEPS):
             before = [h.candidate for h in chosen]
-            chosen = self._drop_needless(self._swap(chosen))
+            chosen = self._drop_unsupported(self._swap(chosen))
             if is_over() or [h.candidate for h in chosen] == before:
                 break
-            chosen, found = self._add(chosen, self.rank(chosen))
+            chosen, found = self._add(chosen, self.rank(chosen), self._drop_unsupported)
         return chosen, found
 
-    def _add(self, chosen: list[Hypothesis], found: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    def _add(
+        self, chosen: list[Hypothesis], found: list[Hypothesis], drop: Drop
+    ) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return a model with what is likelier than not, and what was not added; found again after each step."""
         dropped = set[Candidate]()
         while len(chosen) < MOST_TERMS and not is_over():
@@ -178,7 +196,7 @@ class Search(ModelEvidence):
             if not leaders:
                 break
             before, offered = chosen, [*chosen, *leaders]
-            chosen = self._drop_needless(offered)
+            chosen = drop(offered)
             dropped |= {h.candidate for h in offered} - {h.candidate for h in chosen}
             self._advance()
             if key_of(chosen) != key_of(before):
@@ -191,7 +209,7 @@ class Search(ModelEvidence):
         for h in found:
             if self.odds(h) <= 0.0:
                 break
-            if not any(meet(h.candidate, one.candidate) for one in leaders):
+            if _kind(h) not in self._rejected and not any(meet(h.candidate, one.candidate) for one in leaders):
                 leaders.append(h)
         return leaders
 
@@ -205,6 +223,21 @@ class Search(ModelEvidence):
             chosen = without(chosen, k)
         return chosen
 
+    def _drop_unsupported(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
+        """Drop terms that are not likelier than not, or do not predict left-out blocks, one at a time.
+
+        Curves have no name, and need not predict these.
+        """
+        while (chosen := self._drop_needless(chosen)) and not is_over():
+            evidence = left_out_evidence(self.fit(chosen), self.rows, [h.candidate for h in chosen])
+            laws = {k: one for k, one in enumerate(evidence) if not is_curve(chosen[k].candidate)}
+            k = min(laws, key=laws.__getitem__, default=None)
+            if k is None or laws[k] > 0.0:
+                break
+            self._rejected[_kind(chosen[k])] = laws[k]
+            chosen = without(chosen, k)
+        return chosen
+
     def _swap(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
         """Return terms, each the likeliest of itself, at its best shape, and its rivals, given all others."""
         for k, h in enumerate(chosen):
@@ -213,7 +246,8 @@ class Search(ModelEvidence):
             rest = without(chosen, k)
             if (known := (key_of(rest), key_of([h]))) in self._no_likelier_rival:
                 continue
-            best = max((self.reshape(rest, h), *self.rivals(rest, h)), key=self.odds)
+            rivals = (one for one in self.rivals(rest, h) if _kind(one) not in self._rejected)
+            best = max((self.reshape(rest, h), *rivals), key=self.odds)
             if key_of([best]) == key_of([h]):
                 self._no_likelier_rival.add(known)
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
@@ -238,7 +272,8 @@ class Search(ModelEvidence):
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""
         if not any(h.candidate.effect.uses_load for h in chosen):
             return None
-        other = Search(rows_with_load(self.fit(chosen)), self.effects, self.discrepancy, self._report, self._done)
+        rows = rows_with_load(self.fit(chosen))
+        other = Search(rows, self.effects, self.discrepancy, self._report, self._done, self._rejected)
         onwards = chosen
         for k, h in enumerate(chosen):
             if h.candidate.effect.uses_load:
@@ -252,8 +287,13 @@ class Search(ModelEvidence):
             if is_curve(h.candidate):
                 others.append(Term(h, ()))
             else:
-                laws.append(Term(h, tuple([] if is_over() else self.rivals(without(chosen, k), h))))
+                rivals = [] if is_over() else self.rivals(without(chosen, k), h)
+                laws.append(Term(h, tuple(map(self._limited, rivals))))
         return (*laws, *(Term(h, ()) for h in self.own_curves(chosen)), *others)
+
+    def _limited(self, h: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with no more evidence than left-out blocks gave for it, where they were asked."""
+        return replace(h, log_evidence=min(h.log_evidence, self._rejected.get(_kind(h), math.inf)))
 
     def with_other_curves(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
         """Return a model with the curves over other joints' signals, and tones, that it needs; laws may go then."""
@@ -287,7 +327,7 @@ class Search(ModelEvidence):
         return base, ()
 
 
-def _kind(h: Hypothesis) -> tuple[object, ...]:
+def _kind(h: Hypothesis) -> Kind:
     """Return effect, place and window of a hypothesis, whatever its shape."""
     return h.name, h.candidate.site.window
 
