@@ -5,8 +5,9 @@ of the blocks, precision H and shift h lose the fold's part. A term k is left ou
 
     H_f z_f = h_f,   H_f = H - X_f'X_f,   h_f = h - X_f'y_f,   z_f (without k) = z_f - C_k (C_kk)^-1 z_fk,   C = H_f^-1
 
-Eight factorisations therefore serve all terms. Rows are independent here, as in the fit that predicts: whitened rows
-have the fast part of a motion alone, and laws are right for the slow part first.
+Eight factorisations therefore serve all terms. Rows count twice: whitened, and as independent ones, as the fit that is
+reported has them. Errors of laws are slow, and hide what is slow from the first; noise hides what is fast from the
+second. A term needs one of them to speak for it.
 """
 
 from __future__ import annotations
@@ -52,34 +53,39 @@ def count_choices(term: Candidate, columns: Columns, recording_of_block: Sequenc
 
 
 def left_out_evidence(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> list[float]:
-    """Return log B [nats] of each term of a model on left-out blocks, choices paid.
+    """Return log B [nats] of each term of a model on left-out blocks, choices paid; the larger of two, see above.
 
     Args:
         fit: the model; its first additional columns are those of the terms.
         rows: its rows.
         terms: in this order.
     """
-    fit, blocks = fit.least_squares, np.unique(rows.block)
-    first = np.searchsorted(rows.block, blocks)
-    recording_of_block = [rows.recordings[k] for k in rows.recording[first]]
-    brief = [c for c in terms if c.site.window is not None]
+    _, first = np.unique(rows.block, return_index=True)
+    recordings = [rows.recordings[k] for k in rows.recording[first]]
+    prices = (math.log(count_choices(c, rows.columns, recordings)) for c in terms)
+    views = (_before_price(one, rows, terms) for one in (fit, fit.least_squares))
+    return [max(several) - price for price, *several in zip(prices, *views, strict=True)]
+
+
+def _before_price(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> list[float]:
+    """Return log B of each term in the rows of a fit."""
+    blocks, block = np.unique(rows.block, return_inverse=True)
     gains, squares = np.zeros((2, len(terms), len(blocks)))
-    for chosen in ([k for k, c in enumerate(terms) if (c in brief) is short] for short in (False, True)):
+    brief = [c.site.window is not None for c in terms]
+    for short in set(brief):
         # What acts for a time is only there to be fitted: its neighbouring blocks are never left out together.
-        spread = np.ones(len(blocks), dtype=bool) if chosen and terms[chosen[0]] in brief else _touched(rows, brief)
+        spread = np.ones(len(blocks), dtype=bool) if short else _touched(rows, terms)
         fold = np.where(spread, np.cumsum(spread) % FOLDS, np.arange(len(blocks)) * FOLDS // len(blocks))
-        for f in np.unique(fold) if chosen else ():
-            _add_fold(fit, np.searchsorted(blocks, rows.block), fold == f, chosen, gains, squares)
-    evidence = [log_evidence(d, square) for d, square in zip(gains, squares, strict=True)]
-    prices = (math.log(count_choices(c, rows.columns, recording_of_block)) for c in terms)
-    return [one - price for one, price in zip(evidence, prices, strict=True)]
+        chosen = [k for k, one in enumerate(brief) if one is short]
+        for f in np.unique(fold):
+            _add_fold(fit, block, fold == f, chosen, gains, squares)
+    return [log_evidence(d, square) for d, square in zip(gains, squares, strict=True)]
 
 
-def _touched(rows: Rows, brief: Sequence[Candidate]) -> np.ndarray:
-    """Return in which blocks (B,) bool any of some terms acts that are there for a time."""
+def _touched(rows: Rows, terms: Sequence[Candidate]) -> np.ndarray:
+    """Return in which blocks (B,) bool any of some terms acts that is there for a time."""
     inside = np.zeros(len(rows.t), dtype=bool)
-    for window in (c.site.window for c in brief):
-        assert window is not None
+    for window in (c.site.window for c in terms if c.site.window is not None):
         own = rows.recording == rows.recordings.index(window.recording)
         inside |= own & (rows.t >= window.start_s) & (rows.t <= window.end_s)
     return np.isin(np.unique(rows.block), rows.block[inside])
