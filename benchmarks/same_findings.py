@@ -31,7 +31,7 @@ import real_sets
 RELATIVE = 1e-9
 
 
-def changed(recording: Path, folder: Path, seed: int) -> Path:
+def perturb(recording: Path, folder: Path, seed: int) -> Path:
     """Write a recording whose torques are multiplied by 1 + 1e-9 N(0, 1), each row by another number."""
     table = pd.read_csv(recording, comment="#") if recording.suffix == ".csv" else pd.read_parquet(recording)
     rng = np.random.default_rng(seed)
@@ -53,7 +53,7 @@ def findings(found: Diagnosis) -> set[tuple[Any, ...]]:
     return {identity(one) for one in found.findings}
 
 
-def repeated(name: str, case: real_sets.Case, n: int) -> Mapping[str, Any]:
+def repeat(name: str, case: real_sets.Case, n: int) -> Mapping[str, Any]:
     """Diagnose a set and n copies of it."""
 
     def diagnosed(fitted: Sequence[Path]) -> set[tuple[Any, ...]]:
@@ -63,7 +63,7 @@ def repeated(name: str, case: real_sets.Case, n: int) -> Mapping[str, Any]:
     first, others = diagnosed(case.recordings), list[set[tuple[Any, ...]]]()
     for seed in track(range(n), description=name):
         with tempfile.TemporaryDirectory() as folder:
-            others.append(diagnosed([changed(path, Path(folder), seed) for path in case.recordings]))
+            others.append(diagnosed([perturb(path, Path(folder), seed) for path in case.recordings]))
     differ = {str(one) for other in others for one in other ^ first}
     return {"findings": len(first), "n": n, "same": sum(other == first for other in others), "differ": sorted(differ)}
 
@@ -78,7 +78,7 @@ def main() -> None:
         parser.error("TORCHRBD_DATA does not name a folder")
     for name in args.sets:
         with tempfile.TemporaryDirectory() as folder:
-            result = repeated(name, real_sets.CASES[name](data, Path(folder)), args.n)
+            result = repeat(name, real_sets.CASES[name](data, Path(folder)), args.n)
         print(
             f"{name}: the same findings in {result['same']} of {result['n']}; {', '.join(result['differ']) or 'none'}"
         )

@@ -200,7 +200,7 @@ def test_no_term_is_surer_than_left_out_blocks_make_it(rows: Rows, log_evidence:
     prior = prior_log_odds(effect("joint_spring"), rows.columns.robot)
     assert log_odds(own, rows) == pytest.approx(min(log_odds(spring, rows), log_evidence + prior))
     assert own.log_evidence - rival.log_evidence == pytest.approx(4.0)
-    excess = excess_evidence(44.0, left_out(log_evidence))
+    excess = excess_evidence(44.0, log_evidence)
     assert calibrated(44.0 - excess) == pytest.approx(min(calibrated(44.0), log_evidence))
     assert limit_evidence(spring, [rotor], None) == (spring, (rotor,))
 

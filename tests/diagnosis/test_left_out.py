@@ -11,6 +11,7 @@ from likelihood.fits import at_joint, candidate, carried, fitted
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.hypotheses import prior_std
 from torchrbd.diagnosis.left_out import count_choices, left_out_evidence, log_evidence
 from torchrbd.diagnosis.search import Search, search_effects
@@ -113,15 +114,15 @@ def test_predictions_that_do_not_differ_say_nothing() -> None:
     )
 
 
-def test_what_left_out_blocks_reject_is_not_tried_again_and_no_other_explanation() -> None:
-    """With the law of a drag refused, the search reports something else, or nothing; the law's odds are as refused."""
+def test_what_left_out_blocks_reject_is_not_tried_again_and_is_an_unlikely_rival() -> None:
+    """With the law of a drag rejected, its power law is found; the drag has no more evidence than blocks gave for it."""
     fit, effects = fitted(DRAGGED), [effect(e) for e in (DRAG, "power_law_friction", "rotor_inertia")]
     found = search_effects(fit, effects, lambda _: None)
-    (term,) = found.terms
-    refused = {(term.own.name, None): -2.0}
-    search = Search(found.rows, effects, found.discrepancy, rejected=refused)
+    (drag,) = (t.own for t in found.terms)
+    assert drag.name == (DRAG, Site(0))
+    search = Search(found.rows, effects, found.discrepancy, rejected={(drag.name, None): -2.0})
     chosen, _ = search.improve([], search.rank([]))
-    assert term.own.name not in {h.name for h in chosen}
-    rivals = [r for t in search.terms(chosen) for r in t.rivals]
-    assert {r.log_evidence for r in rivals if r.name == term.own.name} <= {-2.0}
-    assert rivals or not chosen
+    assert [h.name for h in chosen] == [("power_law_friction", Site(0))]
+    (term, *_) = search.terms(chosen)
+    (rival,) = (h for h in term.rivals if h.name == drag.name)
+    assert calibrated(rival.log_evidence) == pytest.approx(-2.0)

@@ -37,7 +37,7 @@ def clock_offset(ranked: Ranking, extended: FinalModel, identification: Identifi
     if not found or probabilities(logs).sum() <= DECISIONS.likely:
         return None
     before, after, carried, worth = _worth(extended, identification)
-    excess = excess_evidence(max(h.log_evidence for h in found), worth)
+    excess = excess_evidence(max(h.log_evidence for h in found), worth.log_evidence)
     sure = probabilities([one - excess for one in logs])
     order = np.argsort(-sure, kind="stable")
     best, *others = (found[k] for k in order)

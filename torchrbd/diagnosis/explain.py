@@ -139,7 +139,8 @@ def _sure(extended: FinalModel, worth: Mapping[Candidate, Elpd]) -> Iterator[tup
     found, terms = extended.found, extended.model.proper_terms
     for friction, c in zip(extended.friction, terms, strict=False):
         if friction.probability > DECISIONS.likely:
-            p = probability_of(friction.log_evidence - excess_evidence(friction.log_evidence, worth.get(c)))
+            left_out = worth[c].log_evidence if c in worth else math.inf
+            p = probability_of(friction.log_evidence - excess_evidence(friction.log_evidence, left_out))
             yield c, friction.log_evidence, Inclusion(p * friction.law, p, p, _laws(friction, c, extended))
     for term, c in zip(found.terms, extended.terms, strict=True):
         if not is_curve(c):

@@ -5,9 +5,9 @@ of the blocks, precision H and shift h lose the fold's part. A term k is left ou
 
     H_f z_f = h_f,   H_f = H - X_f'X_f,   h_f = h - X_f'y_f,   z_f (without k) = z_f - C_k (C_kk)^-1 z_fk,   C = H_f^-1
 
-Eight factorisations therefore serve all terms. Rows count twice: whitened, and as independent ones, as the fit that is
-reported has them. Errors of laws are slow, and hide what is slow from the first; noise hides what is fast from the
-second. A term needs one of them to speak for it.
+Eight factorisations therefore serve all terms. This is done twice, for whitened rows and for rows that count as
+independent. Whitened rows give fast torque more weight, independent rows slow torque. Errors of other laws may hide a
+term in one of them: the larger evidence counts.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ import numpy as np
 
 from torchrbd.dataset.columns import Candidate, Columns
 from torchrbd.dataset.rows import Rows
-from torchrbd.inference.physical.leave_out import FOLDS
-from torchrbd.likelihood.gaussian import Posterior
+from torchrbd.inference.physical.leave_out import FOLDS, contiguous_folds
 from torchrbd.likelihood.likelihood import Likelihood
 
 # Differences of two predictions below this part of the largest, squared, are rounding.
@@ -63,31 +62,31 @@ def left_out_evidence(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -
     _, first = np.unique(rows.block, return_index=True)
     recordings = [rows.recordings[k] for k in rows.recording[first]]
     prices = (math.log(count_choices(c, rows.columns, recordings)) for c in terms)
-    views = (_before_price(one, rows, terms) for one in (fit, fit.least_squares))
-    return [max(several) - price for price, *several in zip(prices, *views, strict=True)]
+    both = (_fold_evidence(one, rows, terms) for one in (fit, fit.least_squares))
+    return [max(each) - price for price, *each in zip(prices, *both, strict=True)]
 
 
-def _before_price(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> list[float]:
-    """Return log B of each term in the rows of a fit."""
+def _fold_evidence(fit: Likelihood, rows: Rows, terms: Sequence[Candidate]) -> list[float]:
+    """Return log B of each term in the rows of a fit, before choices are paid."""
     blocks, block = np.unique(rows.block, return_inverse=True)
     gains, squares = np.zeros((2, len(terms), len(blocks)))
     brief = [c.site.window is not None for c in terms]
     for short in set(brief):
         # What acts for a time is only there to be fitted: its neighbouring blocks are never left out together.
-        spread = np.ones(len(blocks), dtype=bool) if short else _touched(rows, terms)
-        fold = np.where(spread, np.cumsum(spread) % FOLDS, np.arange(len(blocks)) * FOLDS // len(blocks))
+        spread = np.ones(len(blocks), dtype=bool) if short else _blocks_in_windows(rows, terms)
+        fold = np.where(spread, np.cumsum(spread) % FOLDS, contiguous_folds(len(blocks), FOLDS).numpy())
         chosen = [k for k, one in enumerate(brief) if one is short]
         for f in np.unique(fold):
             _add_fold(fit, block, fold == f, chosen, gains, squares)
     return [log_evidence(d, square) for d, square in zip(gains, squares, strict=True)]
 
 
-def _touched(rows: Rows, terms: Sequence[Candidate]) -> np.ndarray:
+def _blocks_in_windows(rows: Rows, terms: Sequence[Candidate]) -> np.ndarray:
     """Return in which blocks (B,) bool any of some terms acts that is there for a time."""
     inside = np.zeros(len(rows.t), dtype=bool)
     for window in (c.site.window for c in terms if c.site.window is not None):
-        own = rows.recording == rows.recordings.index(window.recording)
-        inside |= own & (rows.t >= window.start_s) & (rows.t <= window.end_s)
+        # A window is low-passed as all features are.
+        inside |= rows.evaluated(lambda signals: signals.inside(window)) > 0.5  # noqa: B023
     return np.isin(np.unique(rows.block), rows.block[inside])
 
 
@@ -103,15 +102,15 @@ def _add_fold(
         terms: their numbers.
         gains, squares: (K, B) sums of all terms, changed here.
     """
-    g = fit.gaussian
-    H, h, left = g.H.copy(), g.h.copy(), []
+    g, left = fit.gaussian, list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]()
+    H, h = np.zeros_like(g.H), np.zeros_like(g.h)
     for own, index in zip(g.blocks, fit.index, strict=True):
         at = np.flatnonzero(out[block[index]])
         X, y = own.of_rows(at), own.y[at]
-        H[np.ix_(own.own, own.own)] -= X @ X.T
-        h[own.own] -= X @ y
+        H[np.ix_(own.own, own.own)] += X @ X.T
+        h[own.own] += X @ y
         left.append((own.own, X, y, block[index[at]]))
-    rest = Posterior(H, h, local=[one.own for one in g.root.local])
+    rest = g.without(H, h)
     for k in terms:
         at = fit.further(k)
         unit = np.zeros((len(rest.z), len(at)))

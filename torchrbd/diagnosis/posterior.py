@@ -83,16 +83,16 @@ def _places(effect: Effect, robot: RobotModel) -> int:
     return max(len(effect.sites(robot)), len(effect.sites(robot, (Window(""),))), 1)
 
 
-def excess_evidence(log_evidence: float, elpd: Elpd | None) -> float:
+def excess_evidence(log_evidence: float, left_out: float = math.inf) -> float:
     """Return by how much evidence of rows exceeds that of left-out blocks, see ``proof``; zero without these."""
-    return 0.0 if elpd is None else max(calibrated(log_evidence) - elpd.log_evidence, 0.0)
+    return max(calibrated(log_evidence) - left_out, 0.0)
 
 
 def limit_evidence(
     own: Hypothesis, rivals: Sequence[Hypothesis], elpd: Elpd | None
 ) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     """Return a term and its rivals with no more evidence than left-out blocks give for the term."""
-    excess = excess_evidence(own.log_evidence, elpd)
+    excess = 0.0 if elpd is None else excess_evidence(own.log_evidence, elpd.log_evidence)
     own, *others = (replace(h, log_evidence=h.log_evidence - excess) for h in (own, *rivals))
     return own, tuple(others)
 

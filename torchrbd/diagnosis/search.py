@@ -1,10 +1,10 @@
 """Search for the effects that explain the recordings: hypotheses are added, swapped and dropped by their evidence.
 
 The likeliest hypothesis is added while it is likelier than not, given how rare it is and how many places it has. When
-none is left, terms that do not predict left-out blocks are dropped, and from then on a term has to: evidence of rows
-grows with their number, and on every machine a little is wrong that nearby laws absorb. A model that lacks much cannot
-be judged so; therefore it grows first. Then each term is compared with its rivals, given all others: it is swapped if
-a rival is likelier, and dropped if none is needed.
+none is left, terms that do not predict left-out blocks are dropped, and from then on a term has to predict them:
+evidence of rows grows with their number, and on every machine laws absorb a little of what others lack. The model grows
+first, since a true term may not predict better while much physics is missing. Then each term is compared with its
+rivals, given all others: it is swapped if a rival is likelier, and dropped if none is needed.
 Noise is held, see ``discrepancy``: nothing but coefficients, and amplitudes of curves, is learnt with a hypothesis.
 What no law explains is left to curves; those over other joints' states, and further tones, are tried last.
 """
@@ -26,7 +26,7 @@ from torchrbd.diagnosis.evidence import Key, ModelEvidence, key_of, show_bodies
 from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
 from torchrbd.diagnosis.left_out import left_out_evidence
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
-from torchrbd.diagnosis.posterior import needless
+from torchrbd.diagnosis.posterior import excess_evidence, needless
 from torchrbd.diagnosis.screening import refine_shape, screen, screen_lasting
 from torchrbd.diagnosis.sharpening import find_summit
 from torchrbd.diagnosis.windows import PlaceFilter, anywhere
@@ -288,12 +288,13 @@ class Search(ModelEvidence):
                 others.append(Term(h, ()))
             else:
                 rivals = [] if is_over() else self.rivals(without(chosen, k), h)
-                laws.append(Term(h, tuple(map(self._limited, rivals))))
+                laws.append(Term(h, tuple(map(self._limit_rival, rivals))))
         return (*laws, *(Term(h, ()) for h in self.own_curves(chosen)), *others)
 
-    def _limited(self, h: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with no more evidence than left-out blocks gave for it, where they were asked."""
-        return replace(h, log_evidence=min(h.log_evidence, self._rejected.get(_kind(h), math.inf)))
+    def _limit_rival(self, h: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with no more evidence than left-out blocks gave when they rejected it."""
+        excess = excess_evidence(h.log_evidence, self._rejected.get(_kind(h), math.inf))
+        return replace(h, log_evidence=h.log_evidence - excess)
 
     def with_other_curves(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
         """Return a model with the curves over other joints' signals, and tones, that it needs; laws may go then."""

@@ -114,7 +114,7 @@ class Posterior:
 
     def without(self, H: np.ndarray, h: np.ndarray) -> Posterior:
         """Return the posterior without rows that have X'X = H (P, P) and X'y = h (P,)."""
-        return Posterior(self.H - H, self.h - h)
+        return Posterior(self.H - H, self.h - h, local=[one.own for one in self.root.local])
 
     def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the posterior covariance of some coefficients, (K, K)."""
