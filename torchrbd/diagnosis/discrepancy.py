@@ -22,7 +22,8 @@ from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.curve_hypotheses import curves_at, is_of_time, is_over_own_signal, tones
 from torchrbd.diagnosis.hypotheses import Hypothesis
-from torchrbd.diagnosis.posterior import needless
+from torchrbd.diagnosis.posterior import curve_log_odds, needless
+from torchrbd.effects import Effect
 from torchrbd.likelihood.additions import Additions
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.likelihood import Likelihood
@@ -39,11 +40,17 @@ class Discrepancy:
         fit: the machine with noise and dispersion that are learnt with the curves, without these.
         curves: those that the data need.
         extra: their columns.
+        tried: the effects of all curves that were tried, but those over time.
     """
 
     fit: Likelihood
     curves: tuple[Hypothesis, ...]
     extra: tuple[Extra, ...]
+    tried: tuple[Effect, ...]
+
+    def log_odds(self, present: int) -> float:
+        """Return the log prior odds of one more curve where so many are there."""
+        return curve_log_odds(present, len(self.tried), len(set(self.tried)))
 
 
 def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
@@ -55,6 +62,7 @@ def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
     """
     own = [h for h in curves_at(base, rows, range(rows.n_dof)) if is_over_own_signal(h.candidate)]
     curves = [*own, *tones(base, rows)]
+    tried = tuple(h.candidate.effect for h in curves if not is_of_time(h.candidate))
     # Before the data, one of all curves is expected.
     before = calibrated(-math.log(max(len(curves), 1)))
     plain = base.with_(noise=tuple(replace(n, tail=None) for n in base.hyper.noise), dispersion=np.ones(rows.n_dof))
@@ -71,7 +79,7 @@ def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
         curves = [h for k, h in enumerate(curves) if k not in drop]
         fit, steps = _without(fit, drop).renoised(), _FEW if drop else _STEPS
     held = base.with_(noise=last.hyper.noise, dispersion=last.hyper.dispersion)
-    return Discrepancy(held, tuple(curves), last.extra)
+    return Discrepancy(held, tuple(curves), last.extra, tried)
 
 
 def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothesis], before: float) -> list[float]:

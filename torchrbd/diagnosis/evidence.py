@@ -15,6 +15,7 @@ import numpy as np
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
+from torchrbd.diagnosis.calibration import calibrated
 from torchrbd.diagnosis.curve_hypotheses import curvature_directions, is_of_time
 from torchrbd.diagnosis.discrepancy import Discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis, mean_of, prior_std, support
@@ -49,9 +50,9 @@ class ModelEvidence:
 
     def __init__(self, rows: Rows, effects: Sequence[Effect], discrepancy: Discrepancy) -> None:
         self.rows, self.effects, self.discrepancy = rows, effects, discrepancy
-        # Curves that hypotheses may make needless, and their log odds as terms. Those over time are noise and stay.
+        # Curves that hypotheses may make needless, and what is paid for each. Those over time are noise and stay.
         lasting_curves = ((k, h) for k, h in enumerate(discrepancy.curves) if not is_of_time(h.candidate))
-        self._curve_odds = {k: log_odds(replace(h, log_evidence=h.paid), rows) for k, h in lasting_curves}
+        self._price = {k: calibrated(h.paid) for k, h in lasting_curves}
         self._basis = [self._directions(h) for h in discrepancy.curves]
         pairs = zip(self._basis, discrepancy.extra, strict=True)
         self._curves = [e if len(b) == e.n else Extra(e.place, b @ e.features, e.std[1:]) for b, e in pairs]
@@ -69,6 +70,13 @@ class ModelEvidence:
     def odds(self, h: Hypothesis) -> float:
         """Return the log odds of a hypothesis."""
         return log_odds(h, self.rows)
+
+    def odds_together(self, terms: Sequence[Hypothesis]) -> list[float]:
+        """Return the log odds of each term of a model given all others, curves of the discrepancy among them."""
+        curves = {h.candidate for h in self.discrepancy.curves}
+        present = sum(h.candidate in curves for h in terms)
+        prior = self.discrepancy.log_odds(present - 1) if present else 0.0
+        return [calibrated(h.log_evidence) + prior if h.candidate in curves else self.odds(h) for h in terms]
 
     def ordered(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses, the likeliest first."""
@@ -100,20 +108,27 @@ class ModelEvidence:
             place: the joint whose curves may change. Default: all.
         """
         here = [k for k, e in enumerate(self._curves) if place in (None, e.place)]
-        kept = [k for k in here if k in self._curve_odds and model.has(first + k)]
-        time = [first + k for k in here if k not in self._curve_odds]
+        kept = [k for k in here if k in self._price and model.has(first + k)]
+        time = [first + k for k in here if k not in self._price]
+        present = self._count(model, first)
         while True:
             model = model.likeliest([*time, *(first + k for k in kept)])
-            odds = {k: model.evidence_for(first + k) + self._curve_odds[k] for k in kept}
+            prior = self.discrepancy.log_odds(present - 1) if kept else 0.0
+            odds = {k: model.evidence_for(first + k) + self._price[k] + prior for k in kept}
             least = min(kept, key=odds.__getitem__, default=None)
             if least is None or odds[least] > 0.0:
                 return model
-            model = model.without(first + least)
+            model, present = model.without(first + least), present - 1
             kept.remove(least)
 
+    def _count(self, model: Additions, first: int) -> int:
+        """Return how many curves a model has that hypotheses may make needless."""
+        return sum(model.has(first + k) for k in self._price)
+
     def _prior(self, model: Additions, first: int) -> float:
-        """Return the prior log odds of the curves of a model."""
-        return sum(rare for k, rare in self._curve_odds.items() if model.has(first + k))
+        """Return the prior log odds of the curves of a model, against none."""
+        paid = sum(price for k, price in self._price.items() if model.has(first + k))
+        return paid + sum(map(self.discrepancy.log_odds, range(self._count(model, first))))
 
     def _score(self, model: Additions, first: int) -> float:
         """Return the log evidence of a model, signs of friction included, plus the prior log odds of its curves."""
@@ -187,7 +202,7 @@ class ModelEvidence:
         Curves over time are noise: they predict no other time. What drifts is reported from the residual.
         """
         model, n = self._model(chosen)[1], len(chosen)
-        return [self._estimate(k, model, n + k) for k in self._curve_odds if model.has(n + k)]
+        return [self._estimate(k, model, n + k) for k in self._price if model.has(n + k)]
 
     def _estimate(self, curve: int, model: Additions, k: int) -> Hypothesis:
         """Return a curve with amplitude, coefficients and evidence of the k-th component of a model."""

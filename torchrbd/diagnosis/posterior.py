@@ -65,6 +65,22 @@ def prior_log_odds(effect: Effect, robot: RobotModel) -> float:
     return 0.0 if prevalence == "ubiquitous" else math.log(EXPECTED[prevalence] / _places(effect, robot))
 
 
+def curve_log_odds(present: int, tried: int, kinds: int) -> float:
+    """Return the log prior odds of one more curve where so many of those that were tried are there.
+
+    On a machine whose laws are all a little wrong a curve is no surprise, on others it is. Their rate is learnt with
+    them: it is Beta(a, 1), so that the odds are (present + a) / (tried - present), with a expected before any is there.
+
+    Source: Scott and Berger, "Bayes and empirical-Bayes multiplicity adjustment", Annals of Statistics 2010, sec. 2.
+
+    Args:
+        present: number of curves that are there, below ``tried``.
+        tried: number of curves that may be there.
+        kinds: how many effects these are, of which each is as rare as one of family "unknown".
+    """
+    return math.log((present + kinds * EXPECTED["unknown"]) / (tried - present))
+
+
 def _so_briefly(c: Candidate) -> float:
     """Return the log prior of the time for which something is there, against one as long as is usual: log-normal."""
     usual, window = c.effect.lasts_s, c.site.window

@@ -321,7 +321,7 @@ class Search(ModelEvidence):
             own = [term.own for term in terms]
             fit = show_bodies(base.extended([h.extra(base, self.rows) for h in own]).refit, self.rows, own)
             worth = [replace(h, log_evidence=fit.evidence_for(k) + h.paid) for k, h in enumerate(own)]
-            drop = needless([self.odds(h) for h in worth])
+            drop = needless(self.odds_together(worth))
             if not drop:
                 return fit, tuple(terms)
             terms = [term for k, term in enumerate(terms) if k not in drop]
