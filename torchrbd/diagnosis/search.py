@@ -119,11 +119,16 @@ class Search(ModelEvidence):
         self._done += _STEP * (1.0 - self._done)
         self._report(self._done)
 
-    def rank(self, chosen: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def rank(self, chosen: Sequence[Hypothesis], wanted: PlaceFilter = anywhere) -> list[Hypothesis]:
         """Return what is likeliest given a model, with refined shapes, then all others."""
         if is_over():
             return []
-        return self._compare(chosen, _NEAR, _only_once(chosen, self.effects), anywhere)
+        return self._compare(chosen, _NEAR, _only_once(chosen, self.effects), wanted)
+
+    def _likely(self, found: Iterable[Hypothesis]) -> PlaceFilter:
+        """Say whether a hypothesis was likelier than not."""
+        likely = {(h.candidate.effect.id, _where_to_look(h.candidate.site)) for h in found if self.odds(h) > 0.0}
+        return lambda effect, site: (effect.id, site) in likely
 
     def _compare(
         self,
@@ -136,7 +141,8 @@ class Search(ModelEvidence):
     ) -> list[Hypothesis]:
         """Return hypotheses given a model, the likeliest first.
 
-        Curves explain much of what a law does. So laws are compared without curves, too, to see which are to be tried.
+        Curves explain much of what a law does. So laws are compared without curves, too, to see which are to be tried;
+        not those that act for a time, since curves over the state do not.
 
         Args:
             chosen: the model.
@@ -146,8 +152,8 @@ class Search(ModelEvidence):
             lasting: whether to look only for what acts all the time.
         """
         present, short, others = {h.candidate for h in chosen}, list[Hypothesis](), list[Hypothesis]()
-        look = screen_lasting if lasting else screen
         for given in self.with_and_without_curves(chosen):
+            look = screen_lasting if lasting or short else screen
             every = look(given, self.rows, self.effects, wanted)
             found = self.ordered(h for h in every if h.name not in known and h.candidate not in present)
             short += [self.best_shape(given, h) for h in found[:near]]
@@ -189,19 +195,30 @@ class Search(ModelEvidence):
     def _add(
         self, chosen: list[Hypothesis], found: list[Hypothesis], drop: Drop
     ) -> tuple[list[Hypothesis], list[Hypothesis]]:
-        """Return a model with what is likelier than not, and what was not added; found again after each step."""
-        dropped = set[Candidate]()
+        """Return a model with what is likelier than not, and what was not added.
+
+        After each step only what was likelier than not is found again; when nothing of this is left, all is.
+
+        Args:
+            chosen: the model.
+            found: all that may be added.
+            drop: what drops terms again.
+        """
+        dropped, all_found = set[Candidate](), True
         while len(chosen) < MOST_TERMS and not is_over():
             leaders = self._leaders(h for h in found if h.candidate not in dropped)[: MOST_TERMS - len(chosen)]
-            if not leaders:
+            if not leaders and all_found:
                 break
+            if not leaders:
+                found, all_found = self.rank(chosen), True
+                continue
             before, offered = chosen, [*chosen, *leaders]
             chosen = drop(offered)
             dropped |= {h.candidate for h in offered} - {h.candidate for h in chosen}
             self._advance()
             if key_of(chosen) != key_of(before):
-                found = self.rank(chosen)
-        return chosen, found
+                found, all_found = self.rank(chosen, self._likely(found)), False
+        return chosen, found if all_found else self.rank(chosen)
 
     def _leaders(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
         """Return the likeliest hypothesis, and those of other joints: each likelier than not, none meets another."""
@@ -326,6 +343,12 @@ class Search(ModelEvidence):
                 return fit, tuple(terms)
             terms = [term for k, term in enumerate(terms) if k not in drop]
         return base, ()
+
+
+def _where_to_look(site: Site) -> Site:
+    """Return a site as a filter of places knows it."""
+    window = None if site.window is None else Window(site.window.recording)
+    return replace(site, window=window, recordings=None if site.recordings is None else ())
 
 
 def _kind(h: Hypothesis) -> Kind:
