@@ -21,6 +21,7 @@ from torchrbd.diagnosis.proof import predicts_nothing
 from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.results import Finding, Ratio, Unexplained, strongest_first
 from torchrbd.diagnosis.springs import with_springs
+from torchrbd.diagnosis.stability import check_repetitions, with_stability
 from torchrbd.diagnosis.suspect import suspect
 from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, unexplained
 from torchrbd.errors import OptionError
@@ -57,6 +58,7 @@ def diagnose(
     kappa: float = 3.0,
     seed: int = 0,
     time_limit: float | str | None = None,
+    stability: int = 0,
     progress: Progress = lambda *_: None,
 ) -> Diagnosis:
     """Find the physics that a robot's URDF leaves out.
@@ -95,11 +97,15 @@ def diagnose(
         time_limit: seconds, or text such as 90s or 2min, after which the search ends; the best model so far is then
             fitted, judged, written and marked as unfinished. Reading, learning the noise and reporting are not cut
             short. Default: none.
+        stability: how often to repeat the search with blocks of time that are weighted at random (a bootstrap); each
+            finding then has the share of repetitions that find it again. One takes about as long as the search.
+            Default: 0.
         progress: called with the stage and the part of it that is done.
 
     Raises:
         InputError: a robot, recording or option that cannot be used.
     """
+    check_repetitions(stability)
     robot, sources, settings = read_arguments(robot, recordings, given(locals()), "diagnose")
     if settings.estimator not in OF_RECORDINGS:
         raise OptionError(
@@ -124,6 +130,16 @@ def diagnose(
         return suspect(asked, settings, progress, suspected, search.ranking)
     explained = explain(model)
     findings, not_confirmed, model = explained.findings, explained.not_confirmed, explained.model
+    if stability:
+        stage = "repeating the search"
+        findings = with_stability(
+            findings,
+            search.explanation,
+            settings.chosen_effects(),
+            stability,
+            settings.seed,
+            lambda part: progress(stage, part),
+        )
     found = model.found
     models = {"rigid_body": model.prepared.fit(), "extended": model.model}
     identification = summarise(model.prepared, models, settings, progress, suspected)

@@ -205,6 +205,7 @@ class Finding(Stated):
         judged_on: "held-out data"; "own window": cross-validated between two halves of the time in which it acts, as
             held-out data has none of it; or "", where that time is too short.
         held_out_ratio: its torque on held-out data over that fitted (1: the same); None if too little there.
+        stability: share of repeated searches that find it again, see ``stability``; None if none were made.
         adds_to_all: whether it adds to the same effect in all recordings.
         variant: set where a joint origin is so far off that the URDF may be another variant's.
         deflection: what the encoder behind the gear shows of it, for a spring.
@@ -230,6 +231,7 @@ class Finding(Stated):
     elpd: Elpd | None = None
     judged_on: str = HELD_OUT
     held_out_ratio: Ratio | None = None
+    stability: float | None = None
     adds_to_all: bool = False
     variant: Variant | None = None
     deflection: Deflection | None = None

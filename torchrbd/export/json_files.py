@@ -97,7 +97,8 @@ def write_diagnosis(result: Diagnosis, path: Path) -> None:
         judged_on: the data of nmse and share. "held-out data"; "own window": each half of the effect's window is
             predicted by a fit to the other half, as held-out data has none of it; "": too short, nmse is empty;
         held_out_ratio: torque of the effect on held-out data over that fitted: value, low and high (95 %). 1: the same.
-            null if held-out data has too little of it.
+            null if held-out data has too little of it;
+        stability: share of repeated searches that find it again, or null if none were made.
     held_out_ratio: the same of all that the extended model adds to a rigid body with baseline friction.
     not_confirmed: effects that the search found and cross-validation does not confirm, in the same form.
     unexplained: list of joints, depends_on, where, share, statement, curve.

@@ -48,7 +48,8 @@ def finding_statement(finding: Finding) -> str:
         return f"{deflection_statement(finding.deflection)} {shown}"
     more = "It adds to the same effect in all recordings." if finding.adds_to_all else ""
     sizes = _subject(finding), more, _no_size(finding) if finding.confirmed else ""
-    parts = (*sizes, _not_confirmed(finding), _worth(finding), _alike(finding), _variant(finding))
+    worth = _not_confirmed(finding), _worth(finding), _stability(finding)
+    parts = (*sizes, *worth, _alike(finding), _variant(finding))
     return " ".join(filter(None, parts))
 
 
@@ -114,6 +115,12 @@ def _worth(finding: Finding) -> str:
 def _moved(subject: str, before: float, after: float, behind: str = "") -> str:
     verb = "falls" if after < before else "rises"
     return " ".join(filter(None, (subject, verb, "from", number(before), "to", number(after), behind))) + "."
+
+
+def _stability(finding: Finding) -> str:
+    """Say how often it is found again, if the search was repeated."""
+    share = finding.stability
+    return "" if share is None else f"{capital(percent(share))} of the repeated searches find it again."
 
 
 def _alike(finding: Finding) -> str:
