@@ -91,6 +91,10 @@ WRONG = {
     "option": (["diagnose", "arm.urdf", "a.csv", "-o", "out", "--holdot", "b.csv"], "Did you mean --holdout?"),
     "file": (["identify", "arm.urdf", "-o", "out"], "parameter RECORDING requires an argument; give the files first"),
     "output": (["identify", "arm.urdf", "a.csv"], "parameter --output requires an argument"),
+    "repetitions": (
+        ["diagnose", "a", "b", "-o", "c", "--stability", "-1"],
+        "stability is -1; expected a number of repetitions",
+    ),
     "number": (["identify", "a", "b", "-o", "c", "--seed", "x"], 'Invalid value for --seed: unable to convert "x"'),
     "vector": (["identify", "a", "b", "-o", "c", "--gravity", "0", "1"], "--gravity requires 3"),
     "nothing": (["identify", "a", "b", "-o", "c", "--joints"], "--joints requires at least 1 element"),

@@ -10,6 +10,8 @@ import pytest
 from likelihood.arms import recorded, rows_of, wrong_robot
 from likelihood.fits import OPTIONS, URDF, candidate, carried, fitted, with_friction
 from robot.random_robots import random_urdf
+from scipy.special import comb
+from scipy.stats import betabinom
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
@@ -18,6 +20,7 @@ from torchrbd.diagnosis.outcome import Term
 from torchrbd.diagnosis.posterior import (
     EXPECTED,
     Inclusion,
+    curve_log_odds,
     excess_evidence,
     inclusion,
     limit_evidence,
@@ -74,6 +77,21 @@ def test_odds_are_prior_odds_shared_out_over_places_times_the_evidence(rows: Row
     # What acts for a time has its links as places.
     assert prior_log_odds(effect("payload"), ARM) == pytest.approx(math.log(EXPECTED["common"] / ARM.n_bodies))
     assert prior_log_odds(effect("coulomb_friction"), ARM) == 0.0
+
+
+@pytest.mark.parametrize("tried", [7, 40])
+def test_curves_are_as_common_as_a_machine_shows(tried: int) -> None:
+    """One more curve is as likely as in a beta-binomial distribution, where each set of so many is as likely."""
+    expected = 6 * EXPECTED["unknown"]
+
+    def log_probability(m: int) -> float:
+        return float(betabinom.logpmf(m, tried, expected, 1.0)) - math.log(comb(tried, m))
+
+    steps = [curve_log_odds(m, tried, 6) for m in range(tried)]
+    assert steps == pytest.approx([log_probability(m + 1) - log_probability(m) for m in range(tried)], abs=1e-9)
+    assert steps == sorted(steps)
+    # The first is as rare as an effect of family "unknown" at its place.
+    assert steps[0] == pytest.approx(math.log(expected / tried))
 
 
 def test_a_load_is_not_expected_to_be_there_for_a_moment_only(rows: Rows) -> None:

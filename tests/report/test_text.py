@@ -151,6 +151,13 @@ def test_held_out_data_does_not_decide_what_is_in_the_headline() -> None:
     assert head(useless) == "The URDF lacks a joint spring at joint2."
 
 
+@pytest.mark.parametrize(("share", "words"), [(0.85, "85 %"), (1.0, "100 %"), (0.0, "0 %")])
+def test_how_many_repeated_searches_find_it_is_said(share: float, words: str) -> None:
+    ripple = finding("torque_ripple", "joint2")
+    assert f"{words} of the repeated searches find it again." in replace(ripple, stability=share).statement
+    assert "repeated" not in ripple.statement
+
+
 def test_what_the_urdf_has_is_called_wrong() -> None:
     other = {"viscous": Quantity(0.8, 0.1, "N m s/rad", urdf=0.3)}
     damped = finding("viscous_friction", "joint1", parameters=other)

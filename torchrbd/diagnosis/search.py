@@ -112,8 +112,8 @@ class Search(ModelEvidence):
     ) -> None:
         super().__init__(rows, effects, discrepancy)
         self._report, self._done, self._rejected = report, done, dict(rejected or {})
-        # Models and terms for which no rival was likelier.
-        self._no_likelier_rival = set[tuple[Key, Key]]()
+        # Models and terms for which no rival was likelier, and their rivals.
+        self._less_likely = dict[tuple[Key, Key], list[Hypothesis]]()
 
     def _advance(self) -> None:
         self._done += _STEP * (1.0 - self._done)
@@ -261,12 +261,13 @@ class Search(ModelEvidence):
             if is_over():
                 break
             rest = without(chosen, k)
-            if (known := (key_of(rest), key_of([h]))) in self._no_likelier_rival:
+            if (known := (key_of(rest), key_of([h]))) in self._less_likely:
                 continue
-            rivals = (one for one in self.rivals(rest, h) if _kind(one) not in self._rejected)
-            best = max((self.reshape(rest, h), *rivals), key=self.odds)
+            rivals = self.rivals(rest, h)
+            allowed = (one for one in rivals if _kind(one) not in self._rejected)
+            best = max((self.reshape(rest, h), *allowed), key=self.odds)
             if key_of([best]) == key_of([h]):
-                self._no_likelier_rival.add(known)
+                self._less_likely[known] = rivals
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
             self._advance()
         return chosen
@@ -274,6 +275,8 @@ class Search(ModelEvidence):
     def rivals(self, rest: Sequence[Hypothesis], h: Hypothesis) -> list[Hypothesis]:
         """Return what may be in the place of a term: at its joint or on the whole robot, for its time if it has one."""
         place, window = h.candidate.place, h.candidate.site.window
+        if (known := self._less_likely.get((key_of(rest), key_of([h])))) is not None:
+            return known
 
         def wanted(e: Effect, site: Site) -> bool:
             at, other = None if e.whole_robot else site.joint, site.window
@@ -282,8 +285,8 @@ class Search(ModelEvidence):
             here = place is None or at in (None, place)
             return here and (other is None or other.recording == window.recording)
 
-        known = _only_once(rest, self.effects) | {h.name}
-        return self._compare(rest, _RIVALS, known, wanted, lasting=window is None)[: 2 * _RIVALS]
+        once = _only_once(rest, self.effects) | {h.name}
+        return self._compare(rest, _RIVALS, once, wanted, lasting=window is None)[: 2 * _RIVALS]
 
     def with_own_load(self, chosen: list[Hypothesis]) -> tuple[Search, list[Hypothesis]] | None:
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""

@@ -64,7 +64,7 @@ def with_stability(
     """
     rng, models = np.random.default_rng(seed), list[list[Candidate]]()
     for k in range(count):
-        again = replace(found, discrepancy=_reweighted(found, rng))
+        again = replace(found, discrepancy=reweighted(found, rng))
         model = _terms(again, effects, lambda part, k=k: report((k + part) / count))
         if is_over():
             break
@@ -80,7 +80,7 @@ def with_stability(
     return tuple(replace(one, stability=share(one)) for one in findings)
 
 
-def _reweighted(found: SearchOutcome, rng: np.random.Generator) -> Discrepancy:
+def reweighted(found: SearchOutcome, rng: np.random.Generator) -> Discrepancy:
     """Return the discrepancy of a search with noise in which each block of time has another weight."""
     fit, block = found.discrepancy.fit, np.unique(found.rows.block, return_inverse=True)[1]
     weight = rng.exponential(size=int(block.max()) + 1)
