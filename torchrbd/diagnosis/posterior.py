@@ -68,8 +68,9 @@ def prior_log_odds(effect: Effect, robot: RobotModel) -> float:
 def curve_log_odds(present: int, tried: int, kinds: int) -> float:
     """Return the log prior odds of one more curve where so many of those that were tried are there.
 
-    On a machine whose laws are all a little wrong a curve is no surprise, on others it is. Their rate is learnt with
-    them: it is Beta(a, 1), so that the odds are (present + a) / (tried - present), with a expected before any is there.
+    On a machine whose laws are all a little wrong a curve is no surprise, on others it is. So the rate of curves is
+    Beta(a, 1) before the data, and integrated out: the odds are (present + a) / (tried - present). a is such that the
+    first one is as rare as ``EXPECTED`` says.
 
     Source: Scott and Berger, "Bayes and empirical-Bayes multiplicity adjustment", Annals of Statistics 2010, sec. 2.
 

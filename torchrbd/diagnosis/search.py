@@ -152,8 +152,8 @@ class Search(ModelEvidence):
             lasting: whether to look only for what acts all the time.
         """
         present, short, others = {h.candidate for h in chosen}, list[Hypothesis](), list[Hypothesis]()
-        for given in self.with_and_without_curves(chosen):
-            look = screen_lasting if lasting or short else screen
+        for k, given in enumerate(self.with_and_without_curves(chosen)):
+            look = screen_lasting if lasting or k else screen
             every = look(given, self.rows, self.effects, wanted)
             found = self.ordered(h for h in every if h.name not in known and h.candidate not in present)
             short += [self.best_shape(given, h) for h in found[:near]]
