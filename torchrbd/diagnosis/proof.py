@@ -218,12 +218,19 @@ def predicts_nothing(prepared: Prepared, model: FittedModel) -> bool:
 def backward_elimination(
     proof: Proof, terms: Sequence[Candidate], needed: Callable[[Candidate, Elpd], bool]
 ) -> dict[Candidate, Elpd]:
-    """Return the terms that a model does not need, in the order in which they were left out, and their worth then."""
-    gone = dict[Candidate, Elpd]()
+    """Return the terms that a model does not need, in the order in which they were left out, and their worth then.
+
+    While some are not needed, only these are judged again after each step; in the end all that remain are.
+    """
+    gone, judged = dict[Candidate, Elpd](), [*terms]
     while True:
-        each = {term: proof.elpd(term, [*gone]) for term in terms if term not in gone}
+        each = {term: proof.elpd(term, [*gone]) for term in judged}
         needless = [term for term, elpd in each.items() if not needed(term, elpd)]
-        if not needless:
+        if needless:
+            first = min(needless, key=lambda term: each[term].value)
+            gone[first] = each[first]
+            judged = [term for term in needless if term is not first]
+        elif len(judged) + len(gone) == len(terms):
             return gone
-        first = min(needless, key=lambda term: each[term].value)
-        gone[first] = each[first]
+        else:
+            judged = [term for term in terms if term not in gone]
