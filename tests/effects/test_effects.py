@@ -62,11 +62,14 @@ ALL = known_effects()
 def sizes(effect: Effect, seed: int = 0) -> dict[str, float]:
     """Draw physical parameters: positive, ascending so that friction starts higher than it runs, times in ms.
 
+    Friction changes within some seconds.
+
     Whose friction a play has is one of two: it is the link's.
     """
     values = np.sort(np.random.default_rng(seed).uniform(0.5, 2.0, len(effect.units)))
     found = dict(zip(effect.units, values.tolist(), strict=True))
-    found = {name: 0.02 * v if effect.unit(name, prismatic=False) == "s" else v for name, v in found.items()}
+    second = 5.0 if effect.of_conditions else 0.02
+    found = {name: second * v if effect.unit(name, prismatic=False) == "s" else v for name, v in found.items()}
     return {name: 1.0 if name == "link_friction" else v for name, v in found.items()}
 
 

@@ -42,17 +42,21 @@ class TimeVaryingFriction(JointEffect):
     }
     dissipative = True
     drawn_over = "t"
-    prior = CoefficientPrior("It resists motion; with time it may rise or fall.", positive=(0,))
+    prior = CoefficientPrior(
+        "It resists motion; with time it may rise or fall. Grease takes seconds to settle, a joint minutes to warm up.",
+        positive=(0,),
+    )
     export_note = "frictionloss is the value that friction settles to; MJCF has no friction that changes with time"
     exported_in_part = True
     urdf_note = "friction is the value that it settles to; its change with time is left out"
-    # Fractions of the longest recording: from a grease film that settles to a joint that warms up. Slower ones are
-    # straight lines in time and look alike.
-    _FASTEST, _SLOWEST, _GRID_POINTS, _PLAUSIBLE = 0.03, 1.0, 4, 10.0
+    # From a grease film that settles [s] to the length of the longest recording: slower ones are straight lines in time
+    # and look alike. In long recordings fractions of that.
+    _FASTEST_S, _FASTEST, _GRID_POINTS, _PLAUSIBLE = 3.0, 0.03, 4, 10.0
 
     def shapes(self, scale: JointScale) -> tuple[Shape, ...]:
-        grid = scale.duration_s * np.geomspace(self._FASTEST, self._SLOWEST, self._GRID_POINTS)
-        return tuple({"time_constant": float(v)} for v in grid)
+        fastest = max(self._FASTEST * scale.duration_s, self._FASTEST_S)
+        grid = np.geomspace(fastest, max(scale.duration_s, fastest), self._GRID_POINTS)
+        return tuple({"time_constant": float(v)} for v in np.unique(grid))
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
         direction, T = state.direction(), shape["time_constant"]
@@ -72,8 +76,9 @@ class TimeVaryingFriction(JointEffect):
         return (end, start - end), {"time_constant": parameters["time_constant"]}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        friction, slowest = (parameters["coulomb_end"], parameters["coulomb_start"]), self._PLAUSIBLE * scale.duration_s
-        return min(friction) >= 0 and 0 < parameters["time_constant"] <= slowest
+        friction = parameters["coulomb_end"], parameters["coulomb_start"]
+        slowest = self._PLAUSIBLE * max(scale.duration_s, self._FASTEST_S)
+        return min(friction) >= 0 and self._FASTEST_S <= parameters["time_constant"] <= slowest
 
     def urdf_dynamics(self, parameters: Mapping[str, float]) -> dict[str, float]:
         return {"friction": parameters["coulomb_end"]}
