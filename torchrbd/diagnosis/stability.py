@@ -13,6 +13,7 @@ Source: Rubin, "The Bayesian Bootstrap", Annals of Statistics 1981; Meinshausen 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -107,5 +108,5 @@ def _is_same(one: Finding, c: Candidate, robot: RobotModel) -> bool:
     window, recordings, times = c.site.window, one.where.recordings, one.where.time_s
     if window is None:
         return recordings == c.site.recordings and times is None
-    here = recordings == (window.recording,)
-    return here and any(window.start_s < end and start < window.end_s for start, end in times or ((-1e300, 1e300),))
+    spans = times or ((-math.inf, math.inf),)
+    return recordings == (window.recording,) and any(window.start_s < b and a < window.end_s for a, b in spans)
