@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from likelihood.fits import at_joint, carried, fitted
+from likelihood.fits import at_joint, candidate, carried, fitted
 
 from torchrbd.diagnosis import search
 from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.discrepancy import learn_discrepancy
+from torchrbd.diagnosis.hypotheses import hypothesis_of
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.posterior import log_odds
 from torchrbd.diagnosis.search import Search, search_effects
@@ -163,3 +164,14 @@ def test_rivals_of_what_acts_for_a_time_are_at_its_place() -> None:
     assert rivals
     assert {c.place for c in rivals} == {lasting.candidate.place}
     assert all(c.site.window is None for c in rivals)
+
+
+@pytest.mark.parametrize(("settles_s", "possible"), [(1.0, False), (5.0, True)])
+def test_a_shape_that_physics_does_not_allow_has_no_evidence(settles_s: float, possible: bool) -> None:
+    """Between two values of the grid a search tries shapes beyond its end, too."""
+    fit = fitted(at_joint(0, lambda m: 0.8 * np.exp(-m.t / settles_s) * np.tanh(m.qd[:, 0] / 0.05)))
+    rows = carried(fit)
+    one = hypothesis_of(fit, rows, candidate(rows, "time_varying_friction", Site(0), time_constant=settles_s))
+    assert one is not None
+    (judged,) = Search(rows, [effect("time_varying_friction")], learn_discrepancy(fit, rows)).evidence([], one)
+    assert np.isfinite(judged.log_evidence) == possible

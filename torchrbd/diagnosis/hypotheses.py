@@ -171,7 +171,10 @@ def support(
     unit = rng.standard_normal((_DRAWS, len(mean)))
     after = _allowed(h, friction, rows, mean + unit @ root.T)
     before = _allowed(h, friction, rows, unit * std)
-    return math.log(after / before) if after > 0 < before else -math.inf if before else 0.0
+    if not before:
+        # Where no draw is allowed, the shape may be what physics does not allow.
+        return -math.inf if h.candidate.shape and not after else 0.0
+    return math.log(after / before) if after else -math.inf
 
 
 def _allowed(h: Hypothesis, friction: np.ndarray, rows: Rows, draws: np.ndarray) -> float:
