@@ -14,7 +14,7 @@ import torchrbd
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import Elpd, Finding, Where
 from torchrbd.diagnosis.search import search_effects
-from torchrbd.diagnosis.stability import reweighted, with_stability
+from torchrbd.diagnosis.stability import reweight, with_stability
 from torchrbd.effects import effect
 
 EFFECTS = [effect(name) for name in ("viscous_friction", "rotor_inertia", "joint_spring", "torque_offset")]
@@ -57,16 +57,14 @@ def test_what_is_there_is_found_again_and_what_is_not_is_not(found: SearchOutcom
 
 
 def test_repetitions_follow_the_seed_alone(found: SearchOutcome) -> None:
-    first, again, other = (
-        reweighted(found, np.random.default_rng(seed)).fit.hyper.noise[0].spread for seed in (0, 0, 1)
-    )
+    first, again, other = (reweight(found, np.random.default_rng(seed)).fit.hyper.noise[0].spread for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert not np.allclose(first, other)
 
 
 def test_weights_are_of_blocks_and_keep_the_number_of_rows(found: SearchOutcome) -> None:
     """A block of weight w counts w times: its whitened squares are those of before times w."""
-    before, after = found.discrepancy.fit, reweighted(found, np.random.default_rng(0)).fit
+    before, after = found.discrepancy.fit, reweight(found, np.random.default_rng(0)).fit
     block = np.unique(found.rows.block, return_inverse=True)[1]
     weight = (before.hyper.noise[0].spread / after.hyper.noise[0].spread) ** 2
     first = weight[np.unique(block, return_index=True)[1]]

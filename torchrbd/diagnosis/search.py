@@ -113,7 +113,7 @@ class Search(ModelEvidence):
         super().__init__(rows, effects, discrepancy)
         self._report, self._done, self._rejected = report, done, dict(rejected or {})
         # Models and terms for which no rival was likelier, and their rivals.
-        self._less_likely = dict[tuple[Key, Key], list[Hypothesis]]()
+        self._known_rivals = dict[tuple[Key, Key], list[Hypothesis]]()
 
     def _advance(self) -> None:
         self._done += _STEP * (1.0 - self._done)
@@ -125,8 +125,8 @@ class Search(ModelEvidence):
             return []
         return self._compare(chosen, _NEAR, _only_once(chosen, self.effects), wanted)
 
-    def _likely(self, found: Iterable[Hypothesis]) -> PlaceFilter:
-        """Say whether a hypothesis was likelier than not."""
+    def _likely_places(self, found: Iterable[Hypothesis]) -> PlaceFilter:
+        """Return a filter of the effects and places of hypotheses that are likelier than not."""
         likely = {(h.candidate.effect.id, _where_to_look(h.candidate.site)) for h in found if self.odds(h) > 0.0}
         return lambda effect, site: (effect.id, site) in likely
 
@@ -217,7 +217,7 @@ class Search(ModelEvidence):
             dropped |= {h.candidate for h in offered} - {h.candidate for h in chosen}
             self._advance()
             if key_of(chosen) != key_of(before):
-                found, all_found = self.rank(chosen, self._likely(found)), False
+                found, all_found = self.rank(chosen, self._likely_places(found)), False
         return chosen, found if all_found else self.rank(chosen)
 
     def _leaders(self, found: Iterable[Hypothesis]) -> list[Hypothesis]:
@@ -261,13 +261,13 @@ class Search(ModelEvidence):
             if is_over():
                 break
             rest = without(chosen, k)
-            if (known := (key_of(rest), key_of([h]))) in self._less_likely:
+            if (known := (key_of(rest), key_of([h]))) in self._known_rivals:
                 continue
             rivals = self.rivals(rest, h)
             allowed = (one for one in rivals if _kind(one) not in self._rejected)
             best = max((self.reshape(rest, h), *allowed), key=self.odds)
             if key_of([best]) == key_of([h]):
-                self._less_likely[known] = rivals
+                self._known_rivals[known] = rivals
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
             self._advance()
         return chosen
@@ -275,7 +275,7 @@ class Search(ModelEvidence):
     def rivals(self, rest: Sequence[Hypothesis], h: Hypothesis) -> list[Hypothesis]:
         """Return what may be in the place of a term: at its joint or on the whole robot, for its time if it has one."""
         place, window = h.candidate.place, h.candidate.site.window
-        if (known := self._less_likely.get((key_of(rest), key_of([h])))) is not None:
+        if (known := self._known_rivals.get((key_of(rest), key_of([h])))) is not None:
             return known
 
         def wanted(e: Effect, site: Site) -> bool:

@@ -34,15 +34,14 @@ from torchrbd.errors import OptionError
 from torchrbd.robot import RobotModel
 
 
-def check_repetitions(count: object) -> int:
-    """Return a number of repetitions.
+def check_repetitions(count: object) -> None:
+    """Check a number of repetitions.
 
     Raises:
         OptionError: it is no whole number, or negative.
     """
     if not isinstance(count, int) or isinstance(count, bool) or count < 0:
         raise OptionError(f"stability is {count!r}; expected a number of repetitions, e.g. 20, or 0 for none")
-    return count
 
 
 def with_stability(
@@ -65,8 +64,9 @@ def with_stability(
     """
     rng, models = np.random.default_rng(seed), list[list[Candidate]]()
     for k in range(count):
-        again = replace(found, discrepancy=reweighted(found, rng))
-        model = _terms(again, effects, lambda part, k=k: report((k + part) / count))
+        discrepancy = reweight(found, rng)
+        search = Search(found.rows, effects, discrepancy, lambda part, k=k: report((k + part) / count))
+        model = _find_terms(search)
         if is_over():
             break
         models.append(model)
@@ -81,7 +81,7 @@ def with_stability(
     return tuple(replace(one, stability=share(one)) for one in findings)
 
 
-def reweighted(found: SearchOutcome, rng: np.random.Generator) -> Discrepancy:
+def reweight(found: SearchOutcome, rng: np.random.Generator) -> Discrepancy:
     """Return the discrepancy of a search with noise in which each block of time has another weight."""
     fit, block = found.discrepancy.fit, np.unique(found.rows.block, return_inverse=True)[1]
     weight = rng.exponential(size=int(block.max()) + 1)
@@ -90,14 +90,12 @@ def reweighted(found: SearchOutcome, rng: np.random.Generator) -> Discrepancy:
     return replace(found.discrepancy, fit=fit.with_(noise=noise))
 
 
-def _terms(found: SearchOutcome, effects: Sequence[Effect], report: Callable[[float], None]) -> list[Candidate]:
+def _find_terms(search: Search) -> list[Candidate]:
     """Return the terms of the model that a search finds, with the baseline friction that is likelier than not."""
-    search = Search(found.rows, effects, found.discrepancy, report)
     chosen, _ = search.improve([], search.rank([]))
     fit, laws = search.fit(chosen), [h.candidate for h in chosen]
-    friction = ordinary_friction(
-        fit.extended(fit.extra[: len(chosen)]), found.rows.columns, [e.id for e in effects], laws
-    )
+    without_curves, may = fit.extended(fit.extra[: len(chosen)]), [e.id for e in search.effects]
+    friction = ordinary_friction(without_curves, search.rows.columns, may, laws)
     return [*laws, *(one.candidate for one in friction if one.probability > DECISIONS.likely)]
 
 

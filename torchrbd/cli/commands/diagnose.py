@@ -15,7 +15,7 @@ AFTER = examples(
 )
 _STABILITY = (
     "repeat the search so many times with blocks of time that are weighted at random (a bootstrap), and report the "
-    "share of repetitions that find each finding again; one takes about as long as the search"
+    "share of repetitions that find each finding again; one takes about as long as the search; not in a --config file"
 )
 
 
