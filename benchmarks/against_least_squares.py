@@ -2,8 +2,9 @@
 
     TORCHRBD_DATA=/path/to/recordings python benchmarks/against_least_squares.py emps panda ur10 kuka_kr300
 
-Writes ``benchmarks/results/real_robots.json``; the sets that are not named keep their figures. All four models are
-judged on the same held-out rows, and every row counts alike (rows near rest too).
+Writes ``benchmarks/results/real_robots.json``; the sets that are not named keep their figures. Every part is
+held out once: each recording in turn, or each of several parts of equal length. All four models are judged on the same
+rows, and every row counts alike (rows near rest too): a figure is the squared error of all parts over their variance.
 
 *Baseline* is ordinary least squares with Pinocchio's regressor and numpy: inertial parameters of all links in the
 minimum-norm sense (which predicts as base parameters do), viscous friction, Coulomb friction and an offset at each
@@ -15,8 +16,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,32 +38,75 @@ STATE_BAND = 4.0
 
 @dataclass(frozen=True)
 class RealSet:
-    """One robot: what it is, which recordings are fitted, which are held out (none: blocks of time are)."""
+    """One robot and its recordings.
+
+    Attributes:
+        robot, torque: what they are.
+        recordings: files.
+        together: how many files are held out at once.
+        parts: of equal length into which the files, one after the other in time, are cut, and that are held out in
+            turn; 0 if files are held out.
+        cutoff_hz: chosen from the data if None.
+        urdf: file.
+    """
 
     robot: str
     torque: str
-    fitted: tuple[str, ...]
-    held_out: tuple[str, ...] = ()
+    recordings: tuple[str, ...]
+    together: int = 1
+    parts: int = 0
     cutoff_hz: float | None = None
     urdf: str = "robot.urdf"
 
 
+PENDULUM = (
+    "A_20220812_055032.csv A_20220812_055640.csv A_20220812_055903.csv A_20220812_060143.csv A_20220812_060245.csv "
+    "A_20220812_060329.csv A_20220812_060440.csv A_20220812_061157.csv A_20220812_061705.csv"
+)
 SETS = {
-    "emps": RealSet("EMPS, one slide", "drive voltage × gain", ("train.csv",), ("pulses.csv",), 20.0),
-    "panda": RealSet("Franka Panda, 7 joints", "link-side torque sensors", ("exciting_traj.csv",)),
-    "ur10": RealSet("UR10, 6 joints", "motor currents", ("fit.csv",), ("holdout.csv",)),
-    "kuka_kr300": RealSet("KUKA KR300, 6 joints", "motor torque × gear ratio", ("A.csv", "B.csv"), ("C.csv",)),
-    "dfki_double_pendulum": RealSet("Double pendulum, 2 joints", "reported by the motor", (), (), 8.0, "robot_A.urdf"),
+    "emps": RealSet("EMPS, one slide", "drive voltage × gain", ("train.csv", "pulses.csv"), cutoff_hz=20.0),
+    "panda": RealSet("Franka Panda, 7 joints", "link-side torque sensors", ("exciting_traj.csv",), parts=4),
+    "ur10": RealSet("UR10, 6 joints", "motor currents", ("fit.csv", "holdout.csv"), parts=4),
+    "kuka_kr300": RealSet("KUKA KR300, 6 joints", "motor torque × gear ratio", ("A.csv", "B.csv", "C.csv")),
+    "dfki_double_pendulum": RealSet(
+        "Double pendulum, 2 joints",
+        "reported by the motor",
+        tuple(PENDULUM.split()),
+        together=3,
+        cutoff_hz=8.0,
+        urdf="robot_A.urdf",
+    ),
 }
 
 
-def recordings_of(name: str, folder: Path) -> tuple[list[Path], list[Path]]:
-    """Return the recordings that are fitted and those that are held out."""
-    chosen = SETS[name]
-    if name == "dfki_double_pendulum":  # nine recordings, the last two held out; one more has friction compensation
-        found = sorted(p for p in folder.glob("A_20220812_*.csv") if "compensated" not in p.name)
-        return found[:-2], found[-2:]
-    return [folder / f for f in chosen.fitted], [folder / f for f in chosen.held_out]
+def folds(chosen: RealSet, folder: Path, scratch: Path) -> Iterator[tuple[list[Path], list[Path]]]:
+    """Yield the recordings that are fitted and those that are held out, the last ones first."""
+    if chosen.parts:
+        yield from parts_held_out([folder / name for name in chosen.recordings], chosen.parts, scratch)
+        return
+    files = [folder / name for name in chosen.recordings]
+    for last in range(len(files), 0, -chosen.together):
+        held_out = files[max(last - chosen.together, 0) : last]
+        yield [f for f in files if f not in held_out], held_out
+
+
+def parts_held_out(files: Sequence[Path], parts: int, scratch: Path) -> Iterator[tuple[list[Path], list[Path]]]:
+    """Yield what lies before and behind a part of a recording, and the part; files follow each other in time."""
+    head, rows = "", list[str]()
+    for file in files:
+        head, *more = file.read_text(encoding="utf-8").splitlines(keepends=True)
+        rows += [row if row.endswith("\n") else row + "\n" for row in more]
+    edges = np.linspace(0, len(rows), parts + 1).astype(int)
+    for k in reversed(range(parts)):
+        pieces = {
+            f"before-{k + 1}of{parts}.csv": rows[: edges[k]],
+            f"behind-{k + 1}of{parts}.csv": rows[edges[k + 1] :],
+            f"part-{k + 1}of{parts}.csv": rows[edges[k] : edges[k + 1]],
+        }
+        for name, some in pieces.items():
+            (scratch / name).write_text(head + "".join(some), encoding="utf-8")
+        *fitted, held_out = [scratch / name for name, some in pieces.items() if some]
+        yield fitted, [held_out]
 
 
 def table(path: Path) -> dict[str, np.ndarray]:
@@ -125,8 +171,8 @@ def friction(qd: np.ndarray) -> np.ndarray:
     return columns
 
 
-def baseline(diagnosis: Diagnosis, urdf: Path, paths: Sequence[Path]) -> np.ndarray:
-    """Return the nmse per joint of least squares, fitted and judged on the rows of a diagnosis."""
+def error_of_baseline(diagnosis: Diagnosis, urdf: Path, paths: Sequence[Path]) -> np.ndarray:
+    """Return the error of least squares on the held-out rows of a diagnosis, (M, n), fitted to its other rows."""
     series = diagnosis.identification.series
     parts = []
     for k, name in enumerate(series.recordings):
@@ -136,8 +182,7 @@ def baseline(diagnosis: Diagnosis, urdf: Path, paths: Sequence[Path]) -> np.ndar
         parts.append((*recorded.at(series.t[rows]), series.held_out[rows]))
     tau, W, held_out = (np.concatenate(x) for x in zip(*parts, strict=True))
     x = weighted(W[~held_out], tau[~held_out])
-    error = tau[held_out] - W[held_out] @ x
-    return nmse(error, tau[held_out])
+    return tau[held_out] - W[held_out] @ x
 
 
 def weighted(W: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -157,48 +202,73 @@ def least_squares(W: np.ndarray, tau: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(A / scale, tau.reshape(-1), rcond=RANK_TOLERANCE)[0] / scale
 
 
-def nmse(error: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Return the mean squared error over the variance of the torque, per joint; (M, n) each."""
-    return np.mean(error**2, axis=0) / np.var(tau, axis=0)
+@dataclass
+class Fold:
+    """What one fold gave: torque (M, n) and the error (M, n) of each model on the held-out rows, and the diagnosis."""
+
+    tau: np.ndarray
+    error: dict[str, np.ndarray]
+    diagnosis: Diagnosis
+    seconds: float
 
 
-def measure(name: str, data: Path) -> dict:
-    """Diagnose one set and return its figures."""
-    chosen, folder = SETS[name], data / name
-    fitted, held_out = recordings_of(name, folder)
-    urdf = folder / chosen.urdf
+def run(chosen: RealSet, urdf: Path, fitted: Sequence[Path], held_out: Sequence[Path]) -> Fold:
+    """Diagnose the fitted recordings; return the errors on the held-out ones."""
     options = {"cutoff_hz": chosen.cutoff_hz} if chosen.cutoff_hz else {}
-    if held_out:
-        options["holdout"] = held_out
     start = time.process_time()
-    diagnosis = torchrbd.diagnose(urdf, fitted, **options)
+    diagnosis = torchrbd.diagnose(urdf, fitted, holdout=held_out, **options)
     seconds = time.process_time() - start
     series = diagnosis.identification.series
     rows = series.held_out
-    judged = {
-        model: nmse(series.residual(model)[rows], series.measured[rows]) for model in ("urdf", "rigid_body", "extended")
-    }
-    judged["baseline"] = baseline(diagnosis, urdf, [*fitted, *held_out])
+    error = {model: series.residual(model)[rows] for model in ("urdf", "rigid_body", "extended")}
+    error["baseline"] = error_of_baseline(diagnosis, urdf, [*fitted, *held_out])
+    return Fold(series.measured[rows], error, diagnosis, seconds)
+
+
+def nmse(error: Sequence[np.ndarray], tau: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the squared error over the squared deviation from the mean, summed over folds, per joint."""
+    deviation = sum(np.sum((x - x.mean(axis=0)) ** 2, axis=0) for x in tau)
+    return sum(np.sum(e**2, axis=0) for e in error) / deviation
+
+
+def measure(name: str, data: Path) -> dict:
+    """Diagnose each fold of one set; return the figures, and the findings of the first fold."""
+    chosen, folder = SETS[name], data / name
+    urdf = folder / chosen.urdf
+    done = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for fitted, held_out in folds(chosen, folder, Path(scratch)):
+            done.append(run(chosen, urdf, fitted, held_out))
+            print(f"{name}: {', '.join(p.name for p in held_out)} done", flush=True)
+    joints = done[0].diagnosis.identification.series.joints
+    tau = [fold.tau for fold in done]
+    judged = {model: nmse([fold.error[model] for fold in done], tau) for model in done[0].error}
+    found = Counter(key for fold in done for key in {named(f) for f in fold.diagnosis.findings})
     return {
         "robot": chosen.robot,
         "torque": chosen.torque,
-        "fitted": [p.name for p in fitted],
-        "held_out": [p.name for p in held_out] or "blocks of time",
-        "cutoff_hz": round(diagnosis.identification.cutoff_hz, 2),
-        "rows_held_out": int(rows.sum()),
-        "nmse": {m: {j: float(f"{v:.4g}") for j, v in zip(series.joints, x, strict=True)} for m, x in judged.items()},
-        "verdict": diagnosis.verdict,
+        "folds": len(done),
+        "cutoff_hz": [round(fold.diagnosis.identification.cutoff_hz, 2) for fold in done],
+        "rows_held_out": sum(len(x) for x in tau),
+        "nmse": {m: {j: float(f"{v:.4g}") for j, v in zip(joints, x, strict=True)} for m, x in judged.items()},
+        "verdict": done[0].diagnosis.verdict,
         "findings": [
             {
                 "effect": f.effect,
                 "joints": list(f.joints),
                 "links": list(f.links),
                 "probability": round(float(f.probability), 3),
+                "found_in_folds": found[named(f)],
             }
-            for f in diagnosis.findings
+            for f in done[0].diagnosis.findings
         ],
-        "processor_seconds": round(seconds, 1),
+        "processor_seconds": round(sum(fold.seconds for fold in done) / len(done), 1),
     }
+
+
+def named(finding: torchrbd.Finding) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """Return what a finding names: the effect and its place."""
+    return finding.effect, tuple(finding.joints), tuple(finding.links)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -214,7 +284,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         results_file.update(
             "real_robots", f"python benchmarks/against_least_squares.py {name}", {name: measure(name, Path(folder))}
         )
-        print(f"{name}: done")
     return 0
 
 

@@ -86,11 +86,11 @@ def real_robots_short() -> str:
 def real_robots() -> str:
     rows = []
     for one in results("real_robots").values():
-        held = one["held_out"] if isinstance(one["held_out"], str) else ", ".join(one["held_out"])
-        held = f"{len(one['held_out'])} recordings" if len(held) > 40 else held
+        low, high = min(one["cutoff_hz"]), max(one["cutoff_hz"])
+        band = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
         cells = [short(mean(one["nmse"][m])) for m in MODELS]
-        rows.append([one["robot"], one["torque"], held, f"{one['cutoff_hz']:g} Hz", *cells])
-    head = ["robot", "torque", "held out", "band", "URDF", "re-fitted rigid body", "least squares", "torchrbd"]
+        rows.append([one["robot"], one["torque"], str(one["folds"]), str(one["rows_held_out"]), band, *cells])
+    head = ["robot", "torque", "folds", "samples", "band", "URDF", "re-fitted rigid body", "least squares", "torchrbd"]
     return markdown(head, rows)
 
 
@@ -100,9 +100,16 @@ def real_joints() -> str:
     for one in results("real_robots").values():
         nmse = one["nmse"]
         worse = [j for j in nmse["extended"] if nmse["extended"][j] > nmse["baseline"][j]]
+        ratio = mean({j: nmse["extended"][j] / nmse["baseline"][j] for j in nmse["extended"]})
         pairs = [f"{j} {nmse['baseline'][j]:.3g} → {nmse['extended'][j]:.3g}" for j in worse]
-        rows.append([one["robot"], f"{len(worse)} of {len(nmse['extended'])}", "; ".join(pairs) or "–"])
-    return markdown(["robot", "joints predicted worse than by least squares", "NMSE, least squares → torchrbd"], rows)
+        rows.append([one["robot"], f"{ratio:.2f}", f"{len(worse)} of {len(nmse['extended'])}", "; ".join(pairs) or "–"])
+    head = [
+        "robot",
+        "error over that of least squares, mean",
+        "joints that are worse",
+        "NMSE, least squares → torchrbd",
+    ]
+    return markdown(head, rows)
 
 
 @table
@@ -110,14 +117,15 @@ def real_findings() -> str:
     rows = []
     for one in results("real_robots").values():
         friction = {j for f in one["findings"] if f["effect"] in PLAIN for j in f["joints"]}
-        places: dict[str, list[tuple[str, float]]] = {}
+        places: dict[str, list[str]] = {}
         for f in one["findings"]:
             if f["effect"] not in PLAIN:
                 place = ", ".join((*f["joints"], *f["links"])) or "the whole robot"
-                places.setdefault(f["effect"].replace("_", " "), []).append((place, f["probability"]))
-        words = [f"{effect} at {', '.join(f'{p} ({probability(x)})' for p, x in w)}" for effect, w in places.items()]
+                sure = f"{place} ({probability(f['probability'])}; {f['found_in_folds']} of {one['folds']})"
+                places.setdefault(f["effect"].replace("_", " "), []).append(sure)
+        words = [f"{effect} at {', '.join(at)}" for effect, at in places.items()]
         rows.append([one["robot"], f"{len(friction)} of {len(one['nmse']['urdf'])} joints", "; ".join(words) or "–"])
-    return markdown(["robot", "viscous or Coulomb friction", "other findings, with their probability"], rows)
+    return markdown(["robot", "viscous or Coulomb friction", "other findings (probability; folds that have it)"], rows)
 
 
 def probability(value: float) -> str:

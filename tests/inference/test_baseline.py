@@ -71,7 +71,7 @@ def test_it_is_weighted_least_squares_with_friction(recording: Recording, found:
     series, W = found.series, columns(recording, found.cutoff_hz, width)
     fitted, unseen = ~series.held_out, series.held_out
     x = benchmark.weighted(W[fitted], series.measured[fitted])
-    expected = benchmark.nmse(series.measured[unseen] - W[unseen] @ x, series.measured[unseen])
+    expected = benchmark.nmse([series.measured[unseen] - W[unseen] @ x], [series.measured[unseen]])
     told = found.fits["baseline"].nmse
     assert [told[name] for name in series.joints] == pytest.approx(list(expected), rel=1e-3)
     rms = np.sqrt(np.mean(series.measured**2, axis=0))

@@ -286,6 +286,7 @@ def input_remarks() -> list[Remark]:
         *(Remark("motion not simulated", values) for values in ({}, {"error": "no torque"})),
         Remark("terms along the recorded motion", {"terms": [["time_delay", "joint1"]]}),
         Remark("later start", {"begin_s": 1.0, "asked_s": 0.0}),
+        Remark("torques low-passed", {"half_hz": 1.7, "order": 4}),
         *(Remark("late torque moved", {"delay_s": delay}) for delay in (0.1, -0.1)),
         Remark("torque is a command", {"lag_s": 0.1}),
     ]

@@ -241,7 +241,7 @@ def block_statistics(
 def filtered_rows(columns: Columns, states: States) -> tuple[list[Tensor], Tensor]:
     """Return the band-limited rows [Y_j, phi_j, tau_j] of each joint, (p_j + 1, M), and the torque (n_dof, M)."""
     Y, more = columns.bodies(states)
-    tau = states.decimate(torch.nan_to_num(states.tau))
+    tau = states.decimate_torque(torch.nan_to_num(states.tau))
     explained = tau if more is None else tau + states.decimate(more)
     features, rows = columns.features(states), []
     for joint in range(columns.robot.n_dof):

@@ -91,7 +91,7 @@ class Reading:
         if condition.load is None:
             return states
         known = self.robot.inverse_dynamics(states.q.T, states.qd.T, states.qdd.T, condition.load).T
-        return replace(states, tau=states.tau - known, loaded=condition.load)
+        return replace(states, tau=states.tau - states.as_recorded(known), loaded=condition.load)
 
     def _less_known(self, states: States, k: int, condition: Condition) -> States:
         """Return a tile without the torque of rotors and springs, and without a simulator's torque beyond the URDF."""
@@ -100,7 +100,7 @@ class Reading:
             less = self.simulated[k].taken_off(states)
             extra = states.tau - less.tau
             states = replace(less, tau=states.tau - condition.recorded(extra, states.dt)) if self.raw else less
-        return states if known is None else replace(states, tau=states.tau - known, known=known)
+        return states if known is None else replace(states, tau=states.tau - states.as_recorded(known), known=known)
 
     @property
     def has_known(self) -> bool:

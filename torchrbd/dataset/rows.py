@@ -183,7 +183,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         if not kept.any():
             continue
         measured = reading.measured(k).unsqueeze(1)
-        tau = states.decimate(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
+        tau = states.decimate_torque(torch.where(measured, torch.nan_to_num(states.tau), 0.0))
         states = _DENSITY.thinned(states, reading.filtering.cutoff_hz)
         tiles.append(Tile(states, columns.signals(states), kept))
         Y = columns.robot.regressor_batch_last(states.q, states.qd, states.qdd)

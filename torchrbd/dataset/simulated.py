@@ -67,7 +67,7 @@ class Simulated:
         """Return the states of a tile of the real recording with the simulator's extra torque subtracted."""
         inside = np.clip(states.t.numpy() + self.shift_s, self._rest.t[0], self._rest.t[-1])
         extra = torch.from_numpy(self._rest(inside).T) + self._friction.torque(states.qd)
-        return replace(states, tau=states.tau - extra)
+        return replace(states, tau=states.tau - states.as_recorded(extra))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchrbd.dataset.block_statistics import BlockStatistics, nearest_block
 from torchrbd.dataset.columns import Candidate, Columns
+from torchrbd.dataset.low_passed import find_low_pass
 from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.dataset.scales import covered_scales, with_loads
 from torchrbd.dataset.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
@@ -233,7 +234,12 @@ def read(
     filtering = Filtering(choose_cutoff(surveys) if settings.cutoff_hz is None else settings.cutoff_hz)
     opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
-    return Reading(robot, opened, tuple(surveys), filtering, settings.used_joints(robot), payload, simulated), found
+    reading = Reading(robot, opened, tuple(surveys), filtering, settings.used_joints(robot), payload, simulated)
+    low_pass = find_low_pass(reading, fitted=len(recordings))
+    if low_pass is not None:
+        cutoff_hz = settings.cutoff_hz or min(filtering.cutoff_hz, low_pass.end_hz)
+        reading = replace(reading, filtering=Filtering(cutoff_hz, recorded=low_pass))
+    return reading, found
 
 
 def _simulated(

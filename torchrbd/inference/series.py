@@ -72,5 +72,5 @@ def held_out_spans(series: TorqueSeries) -> dict[str, tuple[tuple[float, float],
 def _measured(states: States, measured: Tensor) -> np.ndarray:
     """Return the torque of a tile's outputs (M, n_dof), NaN where none is ``measured`` (n_dof,)."""
     tau = torch.nan_to_num(states.tau)
-    torque = states.decimate(tau if states.known is None else tau + states.known)
+    torque = states.decimate_torque(tau if states.known is None else tau + states.as_recorded(states.known))
     return torch.where(measured.unsqueeze(1), torque, torch.nan).T.numpy()

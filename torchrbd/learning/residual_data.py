@@ -270,8 +270,8 @@ def _tile(physics: RigidBodyDynamics, states: States, measured: Tensor, recordin
         torque = physics(q, qd, qdd, **_conditions(states, recording)).T
     said = states.decimate(torque).T
     seen = measured & ~torch.isnan(states.tau).any(1)
-    whole = states.tau if states.known is None else states.tau + states.known
-    tau = states.decimate(torch.nan_to_num(whole)).T
+    whole = states.tau if states.known is None else states.tau + states.as_recorded(states.known)
+    tau = states.decimate_torque(torch.nan_to_num(whole)).T
     return {
         "features": torch.cat([states.decimate(x) for x in (states.q, states.qd, states.qdd)]).T,
         "residual": torch.where(seen, tau - said, 0.0),

@@ -138,7 +138,9 @@ def in_band(
     """Return the same for recordings that are read again in a band [Hz], with Wiener-filtered states."""
     progress("learning the noise", 0.0)
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
-    reading = replace(reading, filtering=Filtering(band_hz, of_motion=True), smoothed=())
+    reading = replace(
+        reading, filtering=Filtering(band_hz, of_motion=True, recorded=reading.filtering.recorded), smoothed=()
+    )
     columns = Columns(reading.robot, (), covered_scales(surveys, reading.filtering))
     return in_time(reading, columns, kept_back, held)
 

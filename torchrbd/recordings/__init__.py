@@ -4,6 +4,7 @@ from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.formats.table import Format, Table
 from torchrbd.recordings.inspection import Inspection, inspect_recording
+from torchrbd.recordings.low_pass import LowPass
 from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.mapping_file import read_mapping
 from torchrbd.recordings.memory import Data, InMemory
@@ -20,6 +21,7 @@ __all__ = [
     "Format",
     "InMemory",
     "Inspection",
+    "LowPass",
     "Mapping",
     "NamedSource",
     "Recording",

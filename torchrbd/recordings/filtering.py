@@ -11,6 +11,7 @@ import torch
 from scipy.linalg import solve_toeplitz
 
 from torchrbd.errors import OptionError
+from torchrbd.recordings.low_pass import LowPass
 
 # Half-lengths of the windowed sincs times the width of their transition band: Blackman (75 dB) and Kaiser (60 dB).
 _BLACKMAN_REACH = 2.75
@@ -28,7 +29,8 @@ class Filtering:
 
     *State filter* (cut-off `state_cutoff_hz`): low-passes q and differentiates it; flat up to `cutoff_hz`. *Feature
     filter* (cut-off `cutoff_hz`, half amplitude there): low-passes the torque and every feature alike, so that both
-    sides of `tau = Y pi` pass the same filter. Both are symmetric: exactly zero phase.
+    sides of `tau = Y pi` pass the same filter. Features also pass the filter that torques had passed when they were
+    recorded. All are symmetric: exactly zero phase.
 
     Attributes:
         cutoff_hz: half-amplitude frequency of the feature filter [Hz].
@@ -36,11 +38,13 @@ class Filtering:
         of_motion: whether the state filter is also a Wiener filter: joint by joint, it removes the noise's share of
             each frequency. States are then expected values of the motion. Their errors are not correlated with them, so
             they do not bias a regression (regression calibration).
+        recorded: the low-pass that the recorded torques had passed; None if there was none.
     """
 
     cutoff_hz: float
     state_cutoff_hz: float = 0.0
     of_motion: bool = False
+    recorded: LowPass | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.cutoff_hz) and self.cutoff_hz > 0):
@@ -79,30 +83,47 @@ class Filtering:
         return torch.from_numpy(np.stack([[np.convolve(w, k) for k in kernels.numpy()] for w in wiener]))
 
     def feature_kernel(self, dt: float) -> torch.Tensor:
-        """Return the low-pass kernel (2 F + 1,) that torque and features share, at the sampling interval dt [s].
+        """Return the kernel (2 F + 1,) that features pass, at the sampling interval dt [s].
 
         Raises: OptionError if the cut-off is too high for the clock.
         """
+        kernel = self._shared_kernel(dt)
+        return torch.from_numpy(kernel if self.recorded is None else np.convolve(kernel, self.recorded.kernel(dt)))
+
+    def torque_kernel(self, dt: float) -> torch.Tensor:
+        """Return the kernel of torques, as long as that of features: without what they passed before.
+
+        Raises: OptionError if the cut-off is too high for the clock.
+        """
+        kernel = self._shared_kernel(dt)
+        more = 0 if self.recorded is None else len(self.recorded.kernel(dt)) // 2
+        return torch.from_numpy(np.pad(kernel, more))
+
+    def _shared_kernel(self, dt: float) -> np.ndarray:
+        """Return the low-pass that torque and features share, (2 K + 1,)."""
         if self.cutoff_hz * dt > 1 / 3:
             raise OptionError(
                 f"cut-off {self.cutoff_hz:g} Hz is too high for a recording at {1 / dt:.4g} Hz; "
                 f"at most {1 / (3 * dt):.3g} Hz"
             )
-        return torch.from_numpy(_feature_kernel(self.cutoff_hz * dt))
+        return _feature_kernel(self.cutoff_hz * dt)
 
     def feature_kernel_at(self, dt: float, step: float, multiple: int) -> torch.Tensor:
         """Return the feature kernel of a clock dt [s], sampled every `step` [s]: (2 K + 1,), `multiple` divides K.
 
         It filters signals with coarser samples, without aliasing into the band.
         """
-        reach = (len(self.feature_kernel(dt)) // 2) * dt
-        half = multiple * math.ceil(reach / (multiple * step) - 1e-9)
+        reach = (len(self._shared_kernel(dt)) // 2) * dt
+        half = math.ceil(reach / step - 1e-9)
         t = step * np.arange(-half, half + 1)
         window = np.i0(_KAISER_BETA * np.sqrt(np.maximum(0.0, 1 - (t / reach) ** 2))) * (
             np.abs(t) <= reach * (1 + 1e-9)
         )
         kernel = np.sinc(2 * self.cutoff_hz * t) * window
-        return torch.from_numpy(kernel / kernel.sum())
+        kernel /= kernel.sum()
+        if self.recorded is not None:
+            kernel = np.convolve(kernel, self.recorded.kernel(step))
+        return torch.from_numpy(np.pad(kernel, -(len(kernel) // 2) % multiple))
 
     def stride(self, dt: float) -> int:
         """Return the number of clock samples between two outputs: about 2.5 outputs per cut-off period."""

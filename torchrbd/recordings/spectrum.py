@@ -24,6 +24,8 @@ _LAG_TOLERANCE = 0.005
 _QUIETER = 0.25
 # Safety factor on the noise, which is known only to some tenths.
 _NOISE_MARGIN = 1.2
+# Power below this part of the largest is rounding. Torques were filtered if that begins below this part of the band.
+_SILENT, _SILENT_FROM = 1e-8, 0.5
 # Noise within the motion's band is estimated just above it, below this frequency [Hz], for any clock.
 _NOISE_BELOW_HZ = 56.25
 
@@ -38,6 +40,7 @@ class Spectrum:
         acceleration: (n, F) one-sided power density of the second difference / dt^2.
         measured, derived, cross: (n, F) densities of the measured velocity, of the central difference of q, and of
             their product (complex); zero if velocities are not measured.
+        torque: (n, F) one-sided power density of the torque.
         velocity_square, velocity_max: (n,) of differences over 50 ms.
     """
 
@@ -47,7 +50,7 @@ class Spectrum:
         self._lag = max(1, round(_VELOCITY_LAG_S / dt))
         self.frequency = np.fft.rfftfreq(self._size, dt)
         shape = (n, len(self.frequency))
-        self.acceleration, self.measured, self.derived = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self.acceleration, self.measured, self.derived, self.torque = np.zeros((4, *shape))
         self.cross = np.zeros(shape, dtype=complex)
         self.velocity_max = np.zeros(n)
         self._velocity_square, self._weight, self._count = np.zeros(n), 0.0, 0
@@ -69,7 +72,7 @@ class Spectrum:
         """Add the remaining samples, and turn sums into averages."""
         self._finish_segment()
         weight = max(self._weight, 1e-300)
-        for sums in (self.acceleration, self.measured, self.derived, self.cross):
+        for sums in (self.acceleration, self.measured, self.derived, self.cross, self.torque):
             sums /= weight
 
     def _finish_segment(self) -> None:
@@ -94,6 +97,7 @@ class Spectrum:
         weight = length / self._size
         self._weight += weight
         self.acceleration += weight * scale * np.abs(transform(np.diff(q, 2, axis=1) / dt**2)) ** 2
+        self.torque += weight * scale * np.abs(transform(np.nan_to_num(x[n : 2 * n, 1:-1]))) ** 2
         if self._has_velocity:
             derived, measured = transform((q[:, 2:] - q[:, :-2]) / (2 * dt)), transform(x[2 * n :, 1:-1])
             self.derived += weight * scale * np.abs(derived) ** 2
@@ -104,6 +108,19 @@ class Spectrum:
         self.velocity_max = np.maximum(self.velocity_max, np.abs(velocity).max(axis=1))
         self._velocity_square += np.sum(velocity**2, axis=1)
         self._count += velocity.shape[1]
+
+    @property
+    def torque_ends_hz(self) -> float:
+        """Return the frequency above which no torque has any power but rounding [Hz], NaN if one has.
+
+        A sensor has noise at all frequencies. Less than its noise is left by a filter that the torques passed later.
+        """
+        seen = self.torque[self.torque.any(axis=1)]
+        if not len(seen):
+            return math.nan
+        alive = seen > _SILENT * seen.max(axis=1, keepdims=True)
+        last = int(np.flatnonzero(alive.any(axis=0))[-1])
+        return float(self.frequency[last]) if last < _SILENT_FROM * len(self.frequency) else math.nan
 
     @property
     def velocity_rms(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from torchrbd.errors import RecordingError
 from torchrbd.recordings.blocks import Block
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
+from torchrbd.recordings.low_pass import LowPass
 from torchrbd.recordings.recording import Recording
 from torchrbd.recordings.survey import Survey
 from torchrbd.robot import RobotModel
@@ -27,15 +28,15 @@ _MOST_TURNS = 256
 class States:
     """One contiguous piece of one segment on the uniform clock; float64, batch last.
 
-    Compute features from (q, qd, qdd) at all N samples, then `decimate` them and the torque alike: outputs of
-    consecutive tiles join without gap or repetition.
+    Compute features from (q, qd, qdd) at all N samples, then `decimate` them, and `decimate_torque` the torque: outputs
+    of consecutive tiles join without gap or repetition. The two differ by what torques had passed before.
 
     Attributes:
         segment: index of the segment in the recording.
         dt: clock interval [s].
         t: (N,) seconds since the recording's first row.
         q, qd, qdd: (n, N) low-passed by the state filter [rad or m, per s, per s^2].
-        tau: (n, N) raw [N m or N]; NaN for joints without torque. Use it only through `decimate`.
+        tau: (n, N) raw [N m or N]; NaN for joints without torque. Use it only through `decimate_torque`.
         t_out: (M,) times of the outputs of `decimate` [s].
         recording: name of the recording.
         reference: set-points q_ref, qd_ref, qdd_ref (n, N) each, low-passed like q; None if not recorded.
@@ -46,7 +47,9 @@ class States:
             ones, oldest first [rad or m]; empty in a segment's first piece.
         loaded: (n_params,) inertial parameters of a known load, whose torque is subtracted from ``tau``; None without
             one.
-        known: (n, N) torque of rotors and springs in the robot's description, subtracted from ``tau``; None without.
+        known: (n, N) torque of rotors and springs in the robot's description, subtracted from ``tau`` as it would have
+            been recorded; None without.
+        low_pass: what recorded torques had passed; None if nothing.
     """
 
     segment: int
@@ -58,6 +61,7 @@ class States:
     tau: torch.Tensor
     t_out: torch.Tensor
     _kernel: torch.Tensor
+    _torque_kernel: torch.Tensor
     _stride: int
     recording: str
     reference: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
@@ -66,6 +70,7 @@ class States:
     turned: tuple[torch.Tensor, ...] = ()
     loaded: torch.Tensor | None = None
     known: torch.Tensor | None = None
+    low_pass: LowPass | None = None
 
     @property
     def dt_out(self) -> float:
@@ -94,7 +99,7 @@ class States:
     def thinned(self, step: int) -> States:
         """Return every `step`-th sample, with the same outputs; `step` divides `stride`. Torques are not filtered."""
         half = self._kernel.shape[0] // 2
-        kernel = self._kernel[half % step :: step]
+        kernel, torque_kernel = (k[half % step :: step] for k in (self._kernel, self._torque_kernel))
 
         def thin(x: torch.Tensor) -> torch.Tensor:
             # A copy: a view would keep all samples in memory.
@@ -105,6 +110,7 @@ class States:
             self,
             dt=step * self.dt,
             _kernel=kernel / kernel.sum(),
+            _torque_kernel=torque_kernel / torque_kernel.sum(),
             _stride=self._stride // step,
             reference=None if self.reference is None else tuple(map(thin, self.reference)),
             q_link=None if self.q_link is None else thin(self.q_link),
@@ -116,6 +122,19 @@ class States:
     def decimate(self, x: torch.Tensor) -> torch.Tensor:
         """Low-pass x (..., N) with the feature filter and keep every `stride`-th sample: (..., M). Differentiable."""
         return thinned(x, self._kernel, self._stride, self.t_out.shape[0])
+
+    def as_recorded(self, x: torch.Tensor) -> torch.Tensor:
+        """Return torques x (..., N) as they would have been recorded; near both ends only roughly."""
+        if self.low_pass is None:
+            return x
+        kernel = torch.from_numpy(self.low_pass.kernel(self.dt)).to(x)
+        half = len(kernel) // 2
+        padded = torch.cat((x[..., :1].expand(*x.shape[:-1], half), x, x[..., -1:].expand(*x.shape[:-1], half)), -1)
+        return thinned(padded, kernel, 1, x.shape[-1])
+
+    def decimate_torque(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the same of recorded torques x (..., N), which had passed a part of the feature filter before."""
+        return thinned(x, self._torque_kernel, self._stride, self.t_out.shape[0])
 
 
 def tiles(recording: Recording, survey: Survey, filtering: Filtering, rows: int = TILE_ROWS) -> Iterator[States]:
@@ -154,7 +173,11 @@ class _Cutter:
         # If the velocity is measured, positions are not differentiated, and their noise is small.
         share = np.where(np.isnan(survey.qd_noise_std)[:, None], survey.motion_share, 1.0)
         self._kernels = filtering.motion_kernels(self._dt, share, survey.acceleration_density, survey.share_hz)
-        self._feature_kernel = filtering.feature_kernel(self._dt)
+        self._feature_kernel, self._torque_kernel = (
+            filtering.feature_kernel(self._dt),
+            filtering.torque_kernel(self._dt),
+        )
+        self._low_pass = filtering.recorded
         self._stride = filtering.stride(self._dt)
         self._state_half = self._kernels.shape[2] // 2
         self._feature_half = self._feature_kernel.shape[0] // 2
@@ -207,12 +230,15 @@ class _Cutter:
         self._x = self._x[:, passed:]
         self._index += passed
         self.produced = True
-        kernel, stride = self._feature_kernel, self._stride
+        filters = self._feature_kernel, self._torque_kernel, self._stride
         optional = reference, q_link, temperature, self._turned
+        low_pass = self._low_pass
         self._turned = tuple(
             _turns(torch.cat(path)) for path in zip(self._turned or q[:, :0], q[:, :passed], strict=True)
         )
-        return States(self._segment, self._dt, t, q, qd, qdd, tau, t_out, kernel, stride, self._name, *optional)
+        return States(
+            self._segment, self._dt, t, q, qd, qdd, tau, t_out, *filters, self._name, *optional, low_pass=low_pass
+        )
 
     def _partly(self, x: torch.Tensor, there: torch.Tensor) -> torch.Tensor | None:
         """Return x (m, samples), low-passed like positions, for all joints (n, N), NaN for those not in ``there``."""

@@ -50,6 +50,7 @@ class Survey:
         link_differs: (n,) bool, whether it differs from q anywhere; False if it is not recorded.
         temperature_min, temperature_max: (n,) [deg C], NaN where not recorded.
         cutoff_hz: the cut-off that suits this recording.
+        torque_ends_hz: frequency above which no torque has more than rounding [Hz]; NaN if one has.
         constant_q, constant_tau: joints whose position or torque never changes.
         notes: what a user should know of it.
     """
@@ -79,6 +80,7 @@ class Survey:
     temperature_min: np.ndarray
     temperature_max: np.ndarray
     cutoff_hz: float
+    torque_ends_hz: float
     constant_q: tuple[str, ...]
     constant_tau: tuple[str, ...]
     notes: tuple[Remark, ...]
@@ -188,6 +190,7 @@ def survey(recording: Recording) -> Survey:
         temperature_min=coldest,
         temperature_max=warmest,
         cutoff_hz=cutoff_hz,
+        torque_ends_hz=spectrum.torque_ends_hz,
         constant_q=tuple(compress(recording.joints, ~q_moves)),
         constant_tau=tuple(compress(recording.joints, ~tau_varies & recording.measured)),
         notes=(*recording.notes, *_notes(recording, census, len(segments)), *suspicions),

@@ -159,7 +159,7 @@ def pieces(
     segment, t, signals = -1, np.empty(0), dict[str, np.ndarray]()
     for states in tiles:
         # A known load moves with the robot: its torque belongs to what drives.
-        tau = (torch.nan_to_num(states.tau) + states.taken_off(robot)).T
+        tau = (torch.nan_to_num(states.tau) + states.as_recorded(states.taken_off(robot))).T
         own = {name: getattr(states, name).T for name in ("q", "qd", "qdd")} | {"tau": tau}
         if states.temperature is not None:
             own["temperature"] = states.temperature.T

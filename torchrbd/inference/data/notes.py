@@ -29,6 +29,7 @@ def input_notes(
     silent = compress(columns.robot.joint_names, without_torque.tolist())
     return (
         *_recording_notes(columns.robot, surveys, filtering),
+        *_low_passed(filtering),
         *(Remark("no changing torque", {"joint": joint}) for joint in silent),
         *_robot_notes(columns, prior, held),
     )
@@ -45,6 +46,12 @@ def _recording_notes(robot: RobotModel, surveys: Sequence[Survey], filtering: Fi
     for s, known in zip(surveys, warm, strict=True):
         if lacked := [*compress(robot.joint_names, warm.any(0) & ~known)]:
             yield Remark("no temperature", {"joints": lacked}, s.name)
+
+
+def _low_passed(filtering: Filtering) -> Iterator[Remark]:
+    """Yield what torques had passed before they were recorded."""
+    if (passed := filtering.recorded) is not None:
+        yield Remark("torques low-passed", {"half_hz": passed.half_hz, "order": passed.order})
 
 
 def _robot_notes(columns: Columns, prior: Prior, held: Sequence[str]) -> Iterator[Remark]:

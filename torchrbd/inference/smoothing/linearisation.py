@@ -53,6 +53,7 @@ def states_at_instants(stretch: Stretch, c: Tensor) -> States:
         torch.zeros_like(q),
         t_out,
         _kernel=grid.kernel,
+        _torque_kernel=grid.kernel,
         _stride=grid.substeps,
         recording="",
     )

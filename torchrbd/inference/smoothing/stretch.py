@@ -81,7 +81,7 @@ def stretches(
     step = 0.0
     for states in tiles:
         step = states.dt_out
-        tau = states.decimate(torch.nan_to_num(states.tau)).T
+        tau = states.decimate_torque(torch.nan_to_num(states.tau)).T
         torques.setdefault(states.segment, []).append((states.t_out, tau))
     few = knots_per_output(step)
     # as many evaluations between any two knots, of the finer splines too

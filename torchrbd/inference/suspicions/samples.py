@@ -79,7 +79,7 @@ class Samples:
             weight = reading.filtering.effective_rate * states.dt_out * self._columns.weight(thin) * measured
             block = nearest_block(prepared.statistics.blocks, states.recording, states.t_out)
             where = torch.stack((torch.full_like(states.t_out, k), states.t_out, block * self._parts // self.blocks))
-            parts.append((states.decimate(torch.nan_to_num(states.tau)), weight, where))
+            parts.append((states.decimate_torque(torch.nan_to_num(states.tau)), weight, where))
             features.append([thin.decimate(f) for f in self._columns.features(thin)])
         self.tau, self.weight, where = (torch.cat(x, 1) for x in zip(*parts, strict=True))
         self.recording, self.t, part = where

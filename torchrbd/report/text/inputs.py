@@ -83,6 +83,14 @@ def _along(terms: Sequence[Sequence[str]]) -> str:
     return f"simulated motion takes the torque of these terms from the recorded motion: {names}"
 
 
+def _low_passed(half_hz: float, order: int) -> str:
+    return (
+        f"the torques were low-passed before they were recorded: half of the amplitude is left at {half_hz:.3g} Hz "
+        f"(Butterworth, order {order}, forwards and backwards). Predicted torques pass the same filter. Recordings "
+        "without it show friction better"
+    )
+
+
 def _late_torque(delay_s: float) -> str:
     way = "late" if delay_s > 0 else "early"
     return f"the model has the recorded torque {abs(delay_s):.3g} s {way}: it is moved by that"
@@ -113,6 +121,7 @@ FACTS: dict[str, Callable[..., str]] = {
     "later start": lambda begin_s, asked_s: (
         f"begins at {begin_s:.3g} s instead of {asked_s:.3g} s: the filters need what lies before"
     ),
+    "torques low-passed": _low_passed,
     "late torque moved": _late_torque,
     "torque is a command": lambda lag_s: (
         f"the recorded torque is a command: actuators follow it with a lag of {lag_s:.3g} s"
