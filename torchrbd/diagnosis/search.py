@@ -82,11 +82,15 @@ def search_effects(
 def _only_once(chosen: Sequence[Hypothesis], effects: Sequence[Effect]) -> set[tuple[str, Site]]:
     """Return effects and places that a model has and cannot have again: what acts for a time may, and two stops.
 
-    A torque is late once, by a delay or by a lag.
+    A torque is late once, by a delay or by a lag. A joint has one law of friction: a shape, and what modulates it.
     """
     always = [h for h in chosen if h.candidate.site.always and not h.candidate.effect.several]
-    late = [e.id for e in effects if e.shifts_clocks]
-    return {(e, h.name[1]) for h in always for e in (late if h.candidate.effect.shifts_clocks else h.name[:1])}
+    return {(e.id, h.name[1]) for h in always for e in effects if _exclude_each_other(e, h.candidate.effect)}
+
+
+def _exclude_each_other(one: Effect, other: Effect) -> bool:
+    same_part = one.friction_part != "" and one.friction_part == other.friction_part
+    return one == other or same_part or (one.shifts_clocks and other.shifts_clocks)
 
 
 class Search(ModelEvidence):

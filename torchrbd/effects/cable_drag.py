@@ -18,6 +18,7 @@ class CableDrag(JointEffect):
 
     id = "cable_drag"
     family = "friction"
+    friction_part = "modulator"
     words = "cable drag over a range of positions"
     equation = "c window(q; start, end) sign(qd)"
     shown_by = "Slow sweeps in both directions through the whole range: friction is larger between two positions."

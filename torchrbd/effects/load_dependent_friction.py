@@ -24,6 +24,7 @@ class LoadDependentFriction(JointEffect):
 
     id = "load_dependent_friction"
     family = "friction"
+    friction_part = "modulator"
     prevalence = "common"
     words = "load-dependent friction"
     equation = "k |load| sign(qd)"

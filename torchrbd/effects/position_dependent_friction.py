@@ -24,6 +24,7 @@ class PositionDependentFriction(JointEffect):
 
     id = "position_dependent_friction"
     family = "friction"
+    friction_part = "modulator"
     words = "friction that depends on position"
     equation = "(c + (c_0 - c) exp(-((q - q_0)/w)^2)) sign(qd)"
     shown_by = "Slow reversals through the whole range: friction is larger or smaller around one position."

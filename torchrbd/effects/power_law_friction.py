@@ -25,6 +25,7 @@ class PowerLawFriction(JointEffect):
 
     id = "power_law_friction"
     family = "friction"
+    friction_part = "shape"
     prevalence = "common"
     words = "power-law friction"
     equation = "k |qd|^a sign(qd)"

@@ -40,6 +40,7 @@ class PreslidingHysteresis(JointEffect):
 
     id = "presliding_hysteresis"
     family = "friction"
+    friction_part = "shape"
     prevalence = "common"
     words = "presliding friction (Dahl, LuGre)"
     equation = "c z, dz/dt = qd/d (1 - z sign(qd))"

@@ -19,6 +19,7 @@ class QuadraticDrag(JointEffect):
 
     id = "quadratic_drag"
     family = "friction"
+    friction_part = "shape"
     words = "quadratic drag"
     equation = "k qd |qd|"
     shown_by = "Constant speeds up to the largest: torque grows with the square of speed."

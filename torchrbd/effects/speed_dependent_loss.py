@@ -22,6 +22,7 @@ class SpeedDependentLoss(JointEffect):
 
     id = "speed_dependent_loss"
     family = "friction"
+    friction_part = "modulator"
     words = "torque loss that grows with speed and load"
     equation = "k |load| qd"
     shown_by = (

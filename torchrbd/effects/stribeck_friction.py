@@ -26,6 +26,7 @@ class StribeckFriction(JointEffect):
 
     id = "stribeck_friction"
     family = "friction"
+    friction_part = "shape"
     prevalence = "common"
     words = "Stribeck friction"
     equation = "sign(qd) (c + (s - c) exp(-(qd/v_s)^2))"

@@ -31,6 +31,7 @@ class ThermalViscosity(JointEffect):
 
     id = "thermal_viscosity"
     family = "friction"
+    friction_part = "modulator"
     words = "viscous friction that falls with temperature"
     equation = "-s (T - 40 deg C) qd"
     shown_by = (

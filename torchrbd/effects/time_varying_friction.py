@@ -25,6 +25,7 @@ class TimeVaryingFriction(JointEffect):
 
     id = "time_varying_friction"
     family = "friction"
+    friction_part = "modulator"
     prevalence = "common"
     words = "friction that changes with time"
     equation = "(c_end + (c_start - c_end) exp(-t/T)) sign(qd)"
