@@ -166,6 +166,22 @@ def test_rivals_of_what_acts_for_a_time_are_at_its_place() -> None:
     assert all(c.site.window is None for c in rivals)
 
 
+def test_a_joint_has_one_shape_of_friction_and_one_modulator() -> None:
+    fit = fitted(at_joint(0, lambda m: 0.8 * np.tanh(m.qd[:, 0] / 0.05) * np.abs(m.qd[:, 0])))
+    rows = carried(fit)
+    names = ("quadratic_drag", "stribeck_friction", "load_dependent_friction", "cable_drag", "joint_spring")
+    search = Search(rows, [effect(name) for name in names], learn_discrepancy(fit, rows))
+    drag = hypothesis_of(fit, rows, candidate(rows, "quadratic_drag", Site(0)))
+    assert drag is not None
+    offered = {h.name for h in search.rank([drag])}
+    assert ("stribeck_friction", Site(0)) not in offered
+    assert {("stribeck_friction", Site(1)), ("load_dependent_friction", Site(0)), ("joint_spring", Site(0))} <= offered
+    load = hypothesis_of(fit, rows, candidate(rows, "load_dependent_friction", Site(0)))
+    assert load is not None
+    assert ("cable_drag", Site(0)) not in {h.name for h in search.rank([drag, load])}
+    assert "stribeck_friction" in {h.name[0] for h in search.rivals([load], drag)}, "shapes compete for the place"
+
+
 @pytest.mark.parametrize(("settles_s", "possible"), [(1.0, False), (5.0, True)])
 def test_a_shape_that_physics_does_not_allow_has_no_evidence(settles_s: float, possible: bool) -> None:
     """Between two values of the grid a search tries shapes beyond its end, too."""

@@ -132,3 +132,13 @@ def test_an_incomplete_effect_cannot_be_made(missing: str) -> None:
     incomplete = type("Incomplete", (CubicDrag,), {missing: getattr(JointEffect, missing)})
     with pytest.raises(TypeError, match=missing):
         incomplete()
+
+
+def test_friction_is_a_shape_over_velocity_or_modulates_one() -> None:
+    """But for viscous and Coulomb friction, which every joint has."""
+    every = [effect(name) for name in known_effects()]
+    friction = {e.id for e in every if e.family == "friction"}
+    plain = {"viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"}
+    assert {e.id for e in every if e.friction_part} == friction - plain
+    assert {"stribeck_friction", "presliding_hysteresis"} <= {e.id for e in every if e.friction_part == "shape"}
+    assert {"load_dependent_friction", "cable_drag"} <= {e.id for e in every if e.friction_part == "modulator"}

@@ -117,8 +117,8 @@ class Effect(ABC):
             acceleration, or constant.
         baseline: per coefficient, how much it adds to the joint's viscous friction, Coulomb friction and offset, which
             other effects see as torque that the actuator supplies; empty if nothing.
-        friction_part: what it is of its joint's law of friction: the "shape" over velocity, a "modulator" of that, or ""
-            for neither. A joint has one law, with one of each at most.
+        friction_part: what it is of its joint's law of friction: the "shape" over velocity, a "modulator" of that, or
+            "" for neither. A joint has one law, with one of each at most.
         dry: True if a parameter of it is Coulomb friction in motion, as of other such effects in its place.
         urdf_tag: the attribute of URDF's <dynamics> that is its coefficient.
         acts_on_link: True if it acts behind the gear: it winds up the gear's spring.
