@@ -7,8 +7,9 @@ phi is 1, or sign(qd) for friction that varies with v. The values y at the knots
 elements are independent before the data, so that y is a continuous function: the closer two knots are, the more alike
 are the values. If all values were independent, a slow function would be as improbable as a rough one. Recordings of
 EMPS, UR10, Panda and KR300 are e^16, e^56, e^45 and e^107 times as probable with continuous functions. Over time the
-values are independent, since a curve over time is noise. For two signals u and v, each from -1 to 1 over its range, the functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond
-its range a signal counts as at the end of it. The curve shows what a torque depends on, not why.
+values are independent, since a curve over time is noise. For two signals u and v, each from -1 to 1 over its range, the
+functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its range a signal counts as at the end of it. The curve shows what
+a torque depends on, not why.
 
 Source: Uhlenbeck and Ornstein, "On the theory of the Brownian motion", Physical Review 1930 (the covariance K).
 """
