@@ -5,11 +5,10 @@
 
 phi is 1, or sign(qd) for friction that varies with v. The values y at the knots are torques. The data estimate w, whose
 elements are independent before the data, so that y is a continuous function: the closer two knots are, the more alike
-are the values. If all values were independent, a slow function would be as improbable as a rough one. Recordings of
-EMPS, UR10, Panda and KR300 are e^16, e^56, e^45 and e^107 times as probable with continuous functions. Over time the
-values are independent, since a curve over time is noise. For two signals u and v, each from -1 to 1 over its range, the
-functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its range a signal counts as at the end of it. The curve shows what
-a torque depends on, not why.
+are the values. If all values were independent, a slow function would be as improbable as a rough one; real recordings
+say otherwise (``benchmarks/curve_prior.py``). Over time the values are independent, since a curve over time is noise.
+For two signals u and v, each from -1 to 1 over its range, the functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its
+range a signal counts as at the end of it. The curve shows what a torque depends on, not why.
 
 Source: Uhlenbeck and Ornstein, "On the theory of the Brownian motion", Physical Review 1930 (the covariance K).
 """
@@ -43,6 +42,9 @@ class SmoothTorque(Effect):
         friction: whether it multiplies sign(qd).
         other: whether the signal is another joint's.
         times_own: whether the function also depends on the joint's own signal of this kind.
+
+    Attributes:
+        root: L (K, K), which takes coefficients to values at the knots.
     """
 
     family = "unknown"
@@ -61,10 +63,10 @@ class SmoothTorque(Effect):
         self.units = {**dict.fromkeys(self._values, "{tau}"), **dict.fromkeys(ends, unit)}
         self.uses_load = signal == "load"
         self.has_memory = signal == "t"
-        self._root = torch.eye(knots, dtype=torch.float64)
+        self.root = torch.eye(knots, dtype=torch.float64)
         if signal != "t" and not times_own:
             x = torch.linspace(-1.0, 1.0, knots, dtype=torch.float64)
-            self._root = torch.linalg.cholesky(torch.exp(-(x.unsqueeze(1) - x).abs()))
+            self.root = torch.linalg.cholesky(torch.exp(-(x.unsqueeze(1) - x).abs()))
             self.prior = CoefficientPrior("A continuous function.", std=(1.0,) * knots, of_any_size=True)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
@@ -91,7 +93,7 @@ class SmoothTorque(Effect):
             v = _within(self.values(signals, site.joint), shape["own_low"], shape["own_high"])
             values = torch.stack([u**a * v**b for a, b in product((1, 2), repeat=2)])
         values = values * signals.inside(site.window)
-        values = torch.tensordot(self._root.T.to(values), values, dims=1)
+        values = torch.tensordot(self.root.T.to(values), values, dims=1)
         if self.friction:
             values = values * signals.joint(site.joint).direction()
         place = f"{self.id} {site.other} {site.window} {tuple(shape.values())}"
@@ -99,7 +101,7 @@ class SmoothTorque(Effect):
 
     def at_knots(self, coefficients: Tensor) -> Tensor:
         """Return y = L w, the values of the curve at its knots, (K, ...) like the coefficients."""
-        return self._root.to(coefficients) @ coefficients
+        return self.root.to(coefficients) @ coefficients
 
     def values(self, signals: Signals, joint: int) -> Tensor:
         """Return the signal of a joint, (*batch)."""
@@ -114,7 +116,7 @@ class SmoothTorque(Effect):
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         ends = {name: v for name, v in parameters.items() if name not in self._values}
         y = torch.tensor([parameters[name] for name in self._values], dtype=torch.float64)
-        return tuple(torch.linalg.solve_triangular(self._root, y.unsqueeze(1), upper=False).flatten().tolist()), ends
+        return tuple(torch.linalg.solve_triangular(self.root, y.unsqueeze(1), upper=False).flatten().tolist()), ends
 
     def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
         if self.times_own:
