@@ -194,15 +194,6 @@ def control() -> str:
 
 
 @table
-def curve_prior() -> str:
-    rows = [
-        [one["robot"], str(one["curves"]), f"{one['log_evidence_gain']:+.0f} nats"]
-        for one in results("curve_prior").values()
-    ]
-    return markdown(["robot", "curves", "log evidence over that of independent values"], rows)
-
-
-@table
 def earning_a_name() -> str:
     found = results("earning_a_name")["all"]
     of = found["of"]

@@ -68,7 +68,7 @@ def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
     plain = base.with_(noise=tuple(replace(n, tail=None) for n in base.hyper.noise), dispersion=np.ones(rows.n_dof))
     fit, steps = plain.extended([h.extra(base, rows) for h in curves]).renoised(), _FEW
     while True:
-        fit = learn_amplitudes_and_noise(fit, steps)
+        fit = _learn_amplitudes_and_noise(fit, steps)
         last = _with_tails(fit)
         worth = [last.evidence_for(k) + h.paid + before for k, h in enumerate(curves)]
         if min(worth, default=1.0) > 0.0 and steps == _STEPS:
@@ -98,7 +98,7 @@ def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothe
             worth.append(math.inf)
             continue
         joint = h.candidate.joint
-        own = learn_amplitudes_and_noise(_with_noise_of(fit, joint, _without(last, [k])), _FEW, joint)
+        own = _learn_amplitudes_and_noise(_with_noise_of(fit, joint, _without(last, [k])), _FEW, joint)
         other = _with_tails(own, joint).dispersed(last.hyper.dispersion)
         worth.append(last.log_evidence - other.log_evidence + h.paid + before)
     return worth
@@ -122,7 +122,7 @@ def _with_tails(fit: Likelihood, joint: int | None = None) -> Likelihood:
     return fit.with_heavy_tails(joints).renoised(joints, dispersed=True)
 
 
-def learn_amplitudes_and_noise(fit: Likelihood, steps: int, joint: int | None = None) -> Likelihood:
+def _learn_amplitudes_and_noise(fit: Likelihood, steps: int, joint: int | None = None) -> Likelihood:
     """Return a fit whose amplitudes and noise, at one joint or all, are learnt one after the other."""
     for _ in range(steps):
         before, fit = fit.log_evidence, _likeliest(fit).renoised(None if joint is None else [joint])

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
@@ -60,10 +59,10 @@ def locate(
         The locations of each model, largest gain first, and maps of both residuals over time, position and velocity.
     """
     first, fit = _without_laws(found, report)
-    rest = [(k, t.own) for k, t in enumerate(found.terms) if is_curve(t.own.candidate)]
+    rest = [_as_in(found.fit, k, t.own) for k, t in enumerate(found.terms) if is_curve(t.own.candidate)]
     # The report has its own entries for tones, and for what changes with time.
-    over_states = ((k, h) for k, h in rest if h.candidate.effect is not HUM and not is_of_time(h.candidate))
-    after = [_location("extended", k, h, found.fit, found.rows) for k, h in over_states]
+    over_states = (h for h in rest if h.candidate.effect is not HUM and not is_of_time(h.candidate))
+    after = [_location("extended", h, found.fit, found.rows) for h in over_states]
     noise = [float(np.std(fit.residual(j)[m])) if m.any() else math.nan for j, m in enumerate(found.rows.measured)]
     maps = (*residual_maps("rigid_body", found.base, noise), *residual_maps("extended", found.fit, noise))
     ordered = (sorted(each, key=lambda one: -one.gain) for each in (first, after))
@@ -77,6 +76,7 @@ def _without_laws(found: SearchOutcome, report: Callable[[float], None]) -> tupl
     chosen = search.with_other_curves(chosen)
     every = [*search.conditional(chosen), *search.own_curves(chosen)]
     fit, kept = search.final(found.base, [Term(h, ()) for h in every])
+    located = [_as_in(fit, k, term.own) for k, term in enumerate(kept)]
 
     def point(c: Candidate) -> Attack | None:
         if c.site.body is None:
@@ -84,23 +84,26 @@ def _without_laws(found: SearchOutcome, report: Callable[[float], None]) -> tupl
         others = search.fit([h for h in chosen if h.candidate is not c])
         return attack(others, search.rows, c, payload=c.effect is _PAYLOAD)
 
-    return [
-        _location("rigid_body", k, term.own, fit, search.rows, point(term.own.candidate)) for k, term in enumerate(kept)
-    ], fit
+    return [_location("rigid_body", h, fit, search.rows, point(h.candidate)) for h in located], fit
 
 
-def _location(model: str, k: int, h: Hypothesis, fit: Likelihood, rows: Rows, point: Attack | None = None) -> Location:
+def _as_in(fit: Likelihood, k: int, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the coefficients of the k-th additional columns of a fit."""
+    std = np.sqrt(fit.coefficients_covariance(k).diagonal())
+    return replace(h, coefficients=fit.coefficients(k), std=std)
+
+
+def _location(model: str, h: Hypothesis, fit: Likelihood, rows: Rows, point: Attack | None = None) -> Location:
     """Describe a hypothesis.
 
     Args:
         model: whose residual it explains.
-        k: number of its columns among the additional ones of the fit.
         h: the hypothesis.
         fit: the model with it.
         rows: those of the hypothesis.
         point: of attack.
     """
-    robot, site, h = rows.columns.robot, h.candidate.site, replace(h, coefficients=fit.coefficients(k))
+    robot, site = rows.columns.robot, h.candidate.site
     torque, names = _torque(h, rows), robot.joint_names
     left = np.stack([fit.residual(j) for j in range(rows.n_dof)])
     count = np.maximum(rows.measured.sum(1), 1)
@@ -109,7 +112,7 @@ def _location(model: str, k: int, h: Hypothesis, fit: Likelihood, rows: Rows, po
     felt = [j for j in seen if own[j] > _FELT * after[j]] or seen[:1]
     if site.joint is not None:
         felt = [site.joint]
-    curve = _curve(h, fit.coefficients_covariance(k), rows)
+    curve = _curve(h, rows)
     region = None if curve is None else Region(curve.signal, *_interval(h, rows, (left + torque)[felt[0]]))
     return Location(
         model=model,
@@ -187,16 +190,14 @@ def _where(h: Hypothesis, rows: Rows, region: Region | None) -> Where:
     return Where((window.recording,) if len(rows.seen_recordings) > 1 else None, None if whole else (span,))
 
 
-def _curve(h: Hypothesis, covariance: np.ndarray, rows: Rows) -> Curve | None:
-    """Return a smooth function of one signal, given the covariance of its coefficients; it is linear between knots."""
+def _curve(h: Hypothesis, rows: Rows) -> Curve | None:
+    """Return a smooth function of one signal; between its knots it is linear."""
     c = h.candidate
     if not isinstance(c.effect, SmoothTorque) or c.effect.times_own or c.effect.signal == "t":
         return None
     knots = np.linspace(c.shape["low"], c.shape["high"], len(h.coefficients))
     at = np.linspace(knots[0], knots[-1], _POINTS * (len(knots) - 1) + 1)
-    L = c.effect.at_knots(torch.eye(len(knots), dtype=torch.float64)).numpy()
-    of_knots = L @ h.coefficients, np.sqrt(np.einsum("ki,ij,kj->k", L, covariance, L))
-    values = (at, *(np.interp(at, knots, x) for x in of_knots))
+    values = (at, *(np.interp(at, knots, x) for x in (h.coefficients, h.std)))
     return Curve(depends_on(c, rows.columns.robot.joint_names)[0], *(tuple(map(float, x)) for x in values))
 
 

@@ -1,16 +1,10 @@
 """Smooth torque: a smooth function of one or two signals, for a residual that no known effect explains.
 
-    tau += sum_k y_k h_k(v) phi,   h_k piecewise linear with the value 1 at knot k and 0 at the others
-    y = L w,   L L' = K,   K_ij = exp(-|x_i - x_j|),   knots x from -1 to 1
+    tau += sum_k w_k h_k(v) phi,   h_k piecewise linear with the value 1 at knot k and 0 at the others
 
-phi is 1, or sign(qd) for friction that varies with v. The values y at the knots are torques. The data estimate w, whose
-elements are independent before the data, so that y is a continuous function: the closer two knots are, the more alike
-are the values. If all values were independent, a slow function would be as improbable as a rough one; real recordings
-say otherwise (``benchmarks/curve_prior.py``). Over time the values are independent, since a curve over time is noise.
-For two signals u and v, each from -1 to 1 over its range, the functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its
-range a signal counts as at the end of it. The curve shows what a torque depends on, not why.
-
-Source: Uhlenbeck and Ornstein, "On the theory of the Brownian motion", Physical Review 1930 (the covariance K).
+phi is 1, or sign(qd) for friction that varies with v. For two signals u and v, each from -1 to 1 over its range, the
+functions are u v, u^2 v, u v^2 and u^2 v^2. Beyond its range a signal counts as at the end of it. The curve shows what
+a torque depends on, not why. The coefficients are torques: the values of the curve at its knots.
 """
 
 from __future__ import annotations
@@ -22,7 +16,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from torchrbd.effects.base import CoefficientPrior, Curve, Effect, Shape
+from torchrbd.effects.base import Curve, Effect, Shape
 from torchrbd.effects.signals import JointScale, Signals
 from torchrbd.effects.sites import Site, Window
 from torchrbd.robot import RobotModel
@@ -42,9 +36,6 @@ class SmoothTorque(Effect):
         friction: whether it multiplies sign(qd).
         other: whether the signal is another joint's.
         times_own: whether the function also depends on the joint's own signal of this kind.
-
-    Attributes:
-        root: L (K, K), which takes coefficients to values at the knots.
     """
 
     family = "unknown"
@@ -63,11 +54,6 @@ class SmoothTorque(Effect):
         self.units = {**dict.fromkeys(self._values, "{tau}"), **dict.fromkeys(ends, unit)}
         self.uses_load = signal == "load"
         self.has_memory = signal == "t"
-        self.root = torch.eye(knots, dtype=torch.float64)
-        if signal != "t" and not times_own:
-            x = torch.linspace(-1.0, 1.0, knots, dtype=torch.float64)
-            self.root = torch.linalg.cholesky(torch.exp(-(x.unsqueeze(1) - x).abs()))
-            self.prior = CoefficientPrior("A continuous function.", std=(1.0,) * knots, of_any_size=True)
 
     def sites(self, robot: RobotModel, windows: Sequence[Window] = ()) -> tuple[Site, ...]:
         joints = range(robot.n_dof)
@@ -93,15 +79,10 @@ class SmoothTorque(Effect):
             v = _within(self.values(signals, site.joint), shape["own_low"], shape["own_high"])
             values = torch.stack([u**a * v**b for a, b in product((1, 2), repeat=2)])
         values = values * signals.inside(site.window)
-        values = torch.tensordot(self.root.T.to(values), values, dims=1)
         if self.friction:
             values = values * signals.joint(site.joint).direction()
         place = f"{self.id} {site.other} {site.window} {tuple(shape.values())}"
         return {f"{place} {name}": v for name, v in zip(self._values, values, strict=True)}
-
-    def at_knots(self, coefficients: Tensor) -> Tensor:
-        """Return y = L w, the values of the curve at its knots, (K, ...) like the coefficients."""
-        return self.root.to(coefficients) @ coefficients
 
     def values(self, signals: Signals, joint: int) -> Tensor:
         """Return the signal of a joint, (*batch)."""
@@ -110,20 +91,19 @@ class SmoothTorque(Effect):
         return getattr(signals, self.signal)[joint]
 
     def parameters(self, coefficients: Tensor, shape: Shape) -> dict[str, Tensor]:
-        values = dict(zip(self._values, self.at_knots(coefficients), strict=True))
+        values = dict(zip(self._values, coefficients, strict=True))
         return {**values, **{name: coefficients.new_tensor(v) for name, v in shape.items()}}
 
     def coefficients(self, parameters: Mapping[str, float]) -> tuple[tuple[float, ...], Shape]:
         ends = {name: v for name, v in parameters.items() if name not in self._values}
-        y = torch.tensor([parameters[name] for name in self._values], dtype=torch.float64)
-        return tuple(torch.linalg.solve_triangular(self.root, y.unsqueeze(1), upper=False).flatten().tolist()), ends
+        return tuple(parameters[name] for name in self._values), ends
 
     def curve(self, coefficients: Tensor, shape: Shape, scale: JointScale) -> Curve | None:
         if self.times_own:
             return None
         x = torch.linspace(shape["low"], shape["high"], _POINTS, dtype=torch.float64)
         h = _hats(x, shape["low"], shape["high"], self.knots)
-        return Curve(self.signal + ("_other" if self.other else ""), x, self.at_knots(coefficients.to(x)) @ h)
+        return Curve(self.signal + ("_other" if self.other else ""), x, coefficients.to(x) @ h)
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
         return True
