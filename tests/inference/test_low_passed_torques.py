@@ -92,6 +92,16 @@ def test_friction_is_identified_and_said() -> None:
     assert [fact.kind for fact in found.facts] == ["torques low-passed"]
 
 
+def test_the_reported_error_is_found_again(tmp_path: Path) -> None:
+    """By replaying the held-out recording alone, whose own filter would be estimated a little differently."""
+    held_out = recorded(2, half_hz=1.7)
+    found = torchrbd.identify(URDF, [recorded(1, half_hz=1.7)], holdout=[held_out])
+    found.model.save(tmp_path / "model.safetensors")
+    again = torchrbd.replay(tmp_path / "model.safetensors", [held_out])
+    assert again.nmse == pytest.approx(again.reported, rel=1e-9)
+    assert torchrbd.load_model(tmp_path / "model.safetensors").reported.low_pass == found.model.reported.low_pass is not None
+
+
 def test_known_loads_are_subtracted_as_they_would_have_been_recorded() -> None:
     robot, sources, settings = read_arguments(
         URDF, [recorded(1, half_hz=1.7)], {"payload": "motion1=3.0,0.1,0.0,0.2"}, "identify"

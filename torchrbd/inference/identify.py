@@ -39,7 +39,7 @@ from torchrbd.inference.verdict import doubts_of, encoder_doubts, regime_of, tel
 from torchrbd.model import Reported, RigidBodyDynamics, described_terms
 from torchrbd.options import Names, Payload, given
 from torchrbd.parameters import base_parameters
-from torchrbd.recordings import NamedSource, Sources, listed_sources
+from torchrbd.recordings import Filtering, NamedSource, Sources, listed_sources
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import MotionErrors, motion_errors
 
@@ -253,7 +253,7 @@ def summarise(
         noise=_noise(prepared, final),
         regime=regime,
         series=series,
-        model=_judged(list(modules.values())[-1], series, prepared.filtering.cutoff_hz, list(fits.values())[-1]),
+        model=_judged(list(modules.values())[-1], series, prepared.filtering, list(fits.values())[-1]),
         posterior=Posterior(prepared.prior, final) if sure else None,
         remarks=remarks,
         facts=(*(() if own else mounting), *prepared.facts, *simulation.notes),
@@ -273,11 +273,11 @@ def _modules(prepared: Prepared, models: Mapping[str, FittedModel]) -> dict[str,
     return modules
 
 
-def _judged(model: RigidBodyDynamics, series: TorqueSeries, cutoff_hz: float, fit: Fit) -> RigidBodyDynamics:
+def _judged(model: RigidBodyDynamics, series: TorqueSeries, filtering: Filtering, fit: Fit) -> RigidBodyDynamics:
     """Return a model that knows which rows were held out, and what was reported of these."""
     spans = held_out_spans(series)
     model.conditions = {name: replace(one, held_out_s=spans.get(name, ())) for name, one in model.conditions.items()}
-    model.reported = Reported(cutoff_hz, dict(fit.nmse))
+    model.reported = Reported(filtering.cutoff_hz, dict(fit.nmse), filtering.recorded)
     return model
 
 

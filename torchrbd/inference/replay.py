@@ -19,7 +19,7 @@ from torchrbd.inference.series import torque_series
 from torchrbd.inference.settings import Settings
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.options import Names, Payload, given
-from torchrbd.recordings import Sources, listed_sources
+from torchrbd.recordings import Filtering, Sources, listed_sources
 
 _MODEL = "model"
 
@@ -70,7 +70,8 @@ def replay(
     2. Read q and tau of a recording on an even clock t. Low-pass and differentiate q (state filter, twice the cut-off).
     3. ``tau_model = model(q, qd, qdd, t, temperature, recording=name)``. The name brings in what belongs to this
        recording, see ``model.conditions``: how late or early its torque is, a known load, effects that act in it alone.
-    4. Low-pass tau and tau_model with one filter at ``model.reported.cutoff_hz``, and thin both alike.
+    4. Low-pass tau and tau_model with one filter at ``model.reported.cutoff_hz``, and thin both alike. Where tau had
+       passed a filter before, tau_model passes ``model.reported.low_pass.kernel(dt)``, too.
     5. Keep the rows in ``model.conditions[name].held_out_s``. All of them count alike.
     6. ``nmse = mean((tau - tau_model)**2) / var(tau)`` by joint.
 
@@ -111,6 +112,9 @@ def replay(
         cutoff_hz = model.reported.cutoff_hz
     settings = Settings.from_mapping(given(locals()), "replay")
     reading, _ = read(model.robot, listed_sources(recordings), settings, progress)
+    if model.reported is not None:
+        filtering = Filtering(reading.filtering.cutoff_hz, recorded=model.reported.low_pass)
+        reading = replace(reading, filtering=filtering)
     _check_simulated(model, reading)
     model = _loaded(model, reading)
 

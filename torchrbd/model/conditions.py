@@ -18,6 +18,7 @@ from torch import Tensor
 from torchrbd.effects.actuator_lag import acting
 from torchrbd.effects.time_delay import delayed
 from torchrbd.errors import InputError
+from torchrbd.recordings import LowPass
 
 OTHERS = ""
 """Key of the condition of all recordings that a model does not know."""
@@ -80,10 +81,18 @@ class Reported:
     Attributes:
         cutoff_hz: band limit of the torques [Hz].
         nmse: by joint, on held-out rows.
+        low_pass: what recorded torques had passed before; None if nothing.
     """
 
     cutoff_hz: float
     nmse: dict[str, float]
+    low_pass: LowPass | None = None
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> Reported:
+        """Return what a file holds."""
+        passed = content.get("low_pass")
+        return cls(content["cutoff_hz"], content["nmse"], None if passed is None else LowPass(**passed))
 
 
 def condition_of(conditions: Mapping[str, Condition], recording: str | None) -> Condition:

@@ -122,7 +122,7 @@ def _parts(metadata: Mapping[str, str], tensors: dict[str, Tensor]) -> Parts:
     pi[state["physical"]] += from_log_cholesky(state["raw_inertia"])
     posterior = {name.removeprefix(_POSTERIOR): tensors[name] for name in tensors.keys() - state.keys()}
     conditions, saved = (json.loads(metadata.get(name, "{}")) for name in ("conditions", "reported"))
-    reported = Reported(**saved) if saved else None
+    reported = Reported.from_content(saved) if saved else None
     return Parts(robot, pi.flatten().to(torch.float64), terms, state, posterior, from_content(conditions), reported)
 
 
