@@ -105,7 +105,7 @@ def real_joints() -> str:
         rows.append([one["robot"], f"{ratio:.2f}", f"{len(worse)} of {len(nmse['extended'])}", "; ".join(pairs) or "–"])
     head = [
         "robot",
-        "error over that of least squares, mean",
+        "NMSE over that of least squares, mean of the joints' ratios",
         "joints that are worse",
         "NMSE, least squares → torchrbd",
     ]
