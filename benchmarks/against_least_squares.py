@@ -8,7 +8,8 @@ rows, and every row counts alike (rows near rest too): a figure is the squared e
 
 *Baseline* is ordinary least squares with Pinocchio's regressor and numpy: inertial parameters of all links in the
 minimum-norm sense (which predicts as base parameters do), viscous friction, Coulomb friction and an offset at each
-joint. It shares no code with torchrbd. Torque and all its columns pass one zero-phase low-pass.
+joint. It shares no code with torchrbd. Torque and all its columns pass one zero-phase low-pass. Where torchrbd finds
+that torques had been filtered, its own least squares, whose columns pass that filter, is the *filtered baseline*.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ SETS = {
 def folds(chosen: RealSet, folder: Path, scratch: Path) -> Iterator[tuple[list[Path], list[Path]]]:
     """Yield the recordings that are fitted and those that are held out, the last ones first."""
     if chosen.parts:
-        yield from parts_held_out([folder / name for name in chosen.recordings], chosen.parts, scratch)
+        yield from hold_out_parts([folder / name for name in chosen.recordings], chosen.parts, scratch)
         return
     files = [folder / name for name in chosen.recordings]
     for last in range(len(files), 0, -chosen.together):
@@ -90,7 +91,7 @@ def folds(chosen: RealSet, folder: Path, scratch: Path) -> Iterator[tuple[list[P
         yield [f for f in files if f not in held_out], held_out
 
 
-def parts_held_out(files: Sequence[Path], parts: int, scratch: Path) -> Iterator[tuple[list[Path], list[Path]]]:
+def hold_out_parts(files: Sequence[Path], parts: int, scratch: Path) -> Iterator[tuple[list[Path], list[Path]]]:
     """Yield what lies before and behind a part of a recording, and the part; files follow each other in time."""
     head, rows = "", list[str]()
     for file in files:
@@ -222,6 +223,8 @@ def run(chosen: RealSet, urdf: Path, fitted: Sequence[Path], held_out: Sequence[
     rows = series.held_out
     error = {model: series.residual(model)[rows] for model in ("urdf", "rigid_body", "extended")}
     error["baseline"] = error_of_baseline(diagnosis, urdf, [*fitted, *held_out])
+    if diagnosis.identification.model.reported.low_pass is not None:
+        error["filtered_baseline"] = series.residual("baseline")[rows]
     return Fold(series.measured[rows], error, diagnosis, seconds)
 
 
@@ -243,7 +246,7 @@ def measure(name: str, data: Path) -> dict:
     joints = done[0].diagnosis.identification.series.joints
     tau = [fold.tau for fold in done]
     judged = {model: nmse([fold.error[model] for fold in done], tau) for model in done[0].error}
-    found = Counter(key for fold in done for key in {named(f) for f in fold.diagnosis.findings})
+    found = Counter(key for fold in done for key in {name_of(f) for f in fold.diagnosis.findings})
     return {
         "robot": chosen.robot,
         "torque": chosen.torque,
@@ -258,7 +261,7 @@ def measure(name: str, data: Path) -> dict:
                 "joints": list(f.joints),
                 "links": list(f.links),
                 "probability": round(float(f.probability), 3),
-                "found_in_folds": found[named(f)],
+                "found_in_folds": found[name_of(f)],
             }
             for f in done[0].diagnosis.findings
         ],
@@ -266,7 +269,7 @@ def measure(name: str, data: Path) -> dict:
     }
 
 
-def named(finding: torchrbd.Finding) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+def name_of(finding: torchrbd.Finding) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     """Return what a finding names: the effect and its place."""
     return finding.effect, tuple(finding.joints), tuple(finding.links)
 

@@ -21,6 +21,7 @@ import results_file
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = re.compile(r"(?P<begin>^<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(?P<end>^<!-- end -->$)", re.M | re.S)
 MODELS = ("urdf", "rigid_body", "baseline", "extended")
+BASELINES = {"baseline": "", "filtered_baseline": "; least squares with the filter that was found"}
 PLAIN = ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction")
 
 Table = Callable[[], str]
@@ -97,12 +98,20 @@ def real_robots() -> str:
 @table
 def real_joints() -> str:
     rows = []
-    for one in results("real_robots").values():
-        nmse = one["nmse"]
-        worse = [j for j in nmse["extended"] if nmse["extended"][j] > nmse["baseline"][j]]
-        ratio = mean({j: nmse["extended"][j] / nmse["baseline"][j] for j in nmse["extended"]})
-        pairs = [f"{j} {nmse['baseline'][j]:.3g} → {nmse['extended'][j]:.3g}" for j in worse]
-        rows.append([one["robot"], f"{ratio:.2f}", f"{len(worse)} of {len(nmse['extended'])}", "; ".join(pairs) or "–"])
+    each = ((one, model) for one in results("real_robots").values() for model in BASELINES if model in one["nmse"])
+    for one, model in each:
+        extended, before = one["nmse"]["extended"], one["nmse"][model]
+        worse = [j for j in extended if extended[j] > before[j]]
+        ratio = mean({j: extended[j] / before[j] for j in extended})
+        pairs = [f"{j} {before[j]:.3g} → {extended[j]:.3g}" for j in worse]
+        rows.append(
+            [
+                one["robot"] + BASELINES[model],
+                f"{ratio:.2f}",
+                f"{len(worse)} of {len(extended)}",
+                "; ".join(pairs) or "–",
+            ]
+        )
     head = [
         "robot",
         "NMSE over that of least squares, mean of the joints' ratios",

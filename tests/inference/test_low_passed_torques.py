@@ -13,7 +13,7 @@ import torch
 from scipy import signal
 
 import torchrbd
-from torchrbd.dataset.low_passed import find_low_pass
+from torchrbd.inference.data.torque_filter import find_low_pass
 from torchrbd.inference.identify import read_arguments
 from torchrbd.inference.preparation import read
 from torchrbd.recordings import Recording
@@ -43,7 +43,7 @@ def recorded(seed: int, *, half_hz: float | None, extra=friction, noise: float =
 def low_pass_of(*recordings: Recording):
     robot, sources, settings = read_arguments(URDF, list(recordings), {}, "identify")
     reading, _ = read(robot, sources, settings)
-    return reading.filtering.recorded
+    return reading.filtering.low_pass
 
 
 @pytest.mark.parametrize("half_hz", [1.7, 3.0])
@@ -80,7 +80,7 @@ def test_held_out_recordings_do_not_decide() -> None:
     robot, sources, settings = read_arguments(URDF, [fitted], {"holdout": [other]}, "identify")
     reading, _ = read(robot, sources, settings)
     alone = low_pass_of(fitted)
-    assert reading.filtering.recorded == alone
+    assert reading.filtering.low_pass == alone
 
 
 def test_friction_is_identified_and_said() -> None:
@@ -120,5 +120,5 @@ def test_the_ur10s_torques_were_low_passed() -> None:
     own = real_sets.data_folder() / "ur10"
     robot, sources, settings = read_arguments(own / "robot.urdf", [own / "fit.csv"], {}, "identify")
     reading, _ = read(robot, sources, settings)
-    assert reading.filtering.recorded is not None
-    assert reading.filtering.recorded.half_hz == pytest.approx(1.75, abs=0.15)
+    assert reading.filtering.low_pass is not None
+    assert reading.filtering.low_pass.half_hz == pytest.approx(1.75, abs=0.15)

@@ -37,7 +37,7 @@ def test_torque_and_features_pass_the_same_filters() -> None:
     steps = np.sign(np.sin(2 * np.pi * 0.4 * CLOCK))[:, None] * np.ones_like(q)
     tau = filtered(steps, passed.half_hz, passed.order)
     recording = clean_recording(CLOCK, tau=tau)
-    for part in tiles(recording, survey(recording), Filtering(6.0, recorded=passed), 700):
+    for part in tiles(recording, survey(recording), Filtering(6.0, low_pass=passed), 700):
         true = torch.sign(torch.sin(2 * np.pi * 0.4 * part.t)).expand_as(part.q)
         got, expected = part.decimate_torque(part.tau), part.decimate(true)
         inside = (part.t_out > 3.0) & (part.t_out < 17.0)
@@ -47,7 +47,7 @@ def test_torque_and_features_pass_the_same_filters() -> None:
 
 def test_thinned_states_have_the_same_outputs() -> None:
     recording = clean_recording(CLOCK)
-    (part,) = tiles(recording, survey(recording), Filtering(2.0, recorded=LowPass(1.7, 4)), 100_000)
+    (part,) = tiles(recording, survey(recording), Filtering(2.0, low_pass=LowPass(1.7, 4)), 100_000)
     coarse = part.thinned(2)
     for whole, few in ((part.decimate, coarse.decimate), (part.decimate_torque, coarse.decimate_torque)):
         torch.testing.assert_close(few(coarse.q), whole(part.q), rtol=0, atol=1e-4)

@@ -144,7 +144,7 @@ def run_search(reading: Reading, settings: Settings, kept_back: KeptBack, progre
     """
     robot, effects = reading.robot, settings.chosen_effects()
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
-    band = settings.cutoff_hz or band_hz(surveys, reading.filtering.recorded)
+    band = settings.cutoff_hz or band_hz(surveys, reading.filtering.low_pass)
 
     def report(part: float) -> None:
         progress("ranking", part)

@@ -277,7 +277,7 @@ def _judged(model: RigidBodyDynamics, series: TorqueSeries, filtering: Filtering
     """Return a model that knows which rows were held out, and what was reported of these."""
     spans = held_out_spans(series)
     model.conditions = {name: replace(one, held_out_s=spans.get(name, ())) for name, one in model.conditions.items()}
-    model.reported = Reported(filtering.cutoff_hz, dict(fit.nmse), filtering.recorded)
+    model.reported = Reported(filtering.cutoff_hz, dict(fit.nmse), filtering.low_pass)
     return model
 
 

@@ -120,7 +120,7 @@ def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
     """Return clocks and friction estimated from whitened rows of a wide band; None if they cannot be."""
     seen = [prepared.reading.surveys[k] for k in not_held_out(prepared.reading, prepared.kept_back)]
     try:
-        return in_band(prepared.reading, band_hz(seen, prepared.filtering.recorded), prepared.kept_back, held)
+        return in_band(prepared.reading, band_hz(seen, prepared.filtering.low_pass), prepared.kept_back, held)
     except RecordingError:
         return None
 

@@ -18,7 +18,6 @@ from torch import Tensor
 
 from torchrbd.dataset.block_statistics import BlockStatistics, nearest_block
 from torchrbd.dataset.columns import Candidate, Columns
-from torchrbd.dataset.low_passed import find_low_pass
 from torchrbd.dataset.reading import Progress, Reading
 from torchrbd.dataset.scales import covered_scales, with_loads
 from torchrbd.dataset.simulated import Simulated, check_motion, cut, read_simulated, simulation_notes
@@ -31,6 +30,7 @@ from torchrbd.inference.data.holdout import held_out_blocks
 from torchrbd.inference.data.notes import input_notes, rest_notes
 from torchrbd.inference.data.opening import open_all, open_simulated
 from torchrbd.inference.data.payload import payload_parameters
+from torchrbd.inference.data.torque_filter import find_low_pass
 from torchrbd.inference.input_noise import InputNoise, input_noise
 from torchrbd.inference.physical.fitting import FittedModel, fit_model
 from torchrbd.inference.physical.uncertain_states import UncertainStates
@@ -238,7 +238,7 @@ def read(
     low_pass = find_low_pass(reading, fitted=len(recordings))
     if low_pass is not None:
         cutoff_hz = settings.cutoff_hz or min(filtering.cutoff_hz, low_pass.end_hz)
-        reading = replace(reading, filtering=Filtering(cutoff_hz, recorded=low_pass))
+        reading = replace(reading, filtering=Filtering(cutoff_hz, low_pass=low_pass))
     return reading, found
 
 

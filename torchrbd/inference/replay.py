@@ -79,7 +79,8 @@ def replay(
     simulator, its recordings are needed again: the model does not have its torque.
 
     A recording that the model does not know counts as a whole. Its torque is taken to be as late as that of the fitted
-    recordings where these agree (``model.conditions[""].delay_s`` and ``lag_s``), and without a load.
+    recordings where these agree (``model.conditions[""].delay_s`` and ``lag_s``), and without a load. The filter that
+    it had passed, if any, is estimated.
 
     Args:
         model: a model, its file, or the folder of results that holds it.
@@ -112,8 +113,8 @@ def replay(
         cutoff_hz = model.reported.cutoff_hz
     settings = Settings.from_mapping(given(locals()), "replay")
     reading, _ = read(model.robot, listed_sources(recordings), settings, progress)
-    if model.reported is not None:
-        filtering = Filtering(reading.filtering.cutoff_hz, recorded=model.reported.low_pass)
+    if model.reported is not None and all(one.name in model.conditions for one in reading.recordings):
+        filtering = Filtering(reading.filtering.cutoff_hz, low_pass=model.reported.low_pass)
         reading = replace(reading, filtering=filtering)
     _check_simulated(model, reading)
     model = _loaded(model, reading)

@@ -139,7 +139,7 @@ def in_band(
     progress("learning the noise", 0.0)
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
     reading = replace(
-        reading, filtering=Filtering(band_hz, of_motion=True, recorded=reading.filtering.recorded), smoothed=()
+        reading, filtering=Filtering(band_hz, of_motion=True, low_pass=reading.filtering.low_pass), smoothed=()
     )
     columns = Columns(reading.robot, (), covered_scales(surveys, reading.filtering))
     return in_time(reading, columns, kept_back, held)

@@ -38,13 +38,13 @@ class Filtering:
         of_motion: whether the state filter is also a Wiener filter: joint by joint, it removes the noise's share of
             each frequency. States are then expected values of the motion. Their errors are not correlated with them, so
             they do not bias a regression (regression calibration).
-        recorded: the low-pass that the recorded torques had passed; None if there was none.
+        low_pass: what recorded torques had passed before; None if nothing.
     """
 
     cutoff_hz: float
     state_cutoff_hz: float = 0.0
     of_motion: bool = False
-    recorded: LowPass | None = None
+    low_pass: LowPass | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.cutoff_hz) and self.cutoff_hz > 0):
@@ -88,7 +88,7 @@ class Filtering:
         Raises: OptionError if the cut-off is too high for the clock.
         """
         kernel = self._shared_kernel(dt)
-        return torch.from_numpy(kernel if self.recorded is None else np.convolve(kernel, self.recorded.kernel(dt)))
+        return torch.from_numpy(kernel if self.low_pass is None else np.convolve(kernel, self.low_pass.kernel(dt)))
 
     def torque_kernel(self, dt: float) -> torch.Tensor:
         """Return the kernel of torques, as long as that of features: without what they passed before.
@@ -96,7 +96,7 @@ class Filtering:
         Raises: OptionError if the cut-off is too high for the clock.
         """
         kernel = self._shared_kernel(dt)
-        more = 0 if self.recorded is None else len(self.recorded.kernel(dt)) // 2
+        more = 0 if self.low_pass is None else len(self.low_pass.kernel(dt)) // 2
         return torch.from_numpy(np.pad(kernel, more))
 
     def _shared_kernel(self, dt: float) -> np.ndarray:
@@ -121,8 +121,8 @@ class Filtering:
         )
         kernel = np.sinc(2 * self.cutoff_hz * t) * window
         kernel /= kernel.sum()
-        if self.recorded is not None:
-            kernel = np.convolve(kernel, self.recorded.kernel(step))
+        if self.low_pass is not None:
+            kernel = np.convolve(kernel, self.low_pass.kernel(step))
         return torch.from_numpy(np.pad(kernel, -(len(kernel) // 2) % multiple))
 
     def stride(self, dt: float) -> int:

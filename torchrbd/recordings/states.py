@@ -177,7 +177,7 @@ class _Cutter:
             filtering.feature_kernel(self._dt),
             filtering.torque_kernel(self._dt),
         )
-        self._low_pass = filtering.recorded
+        self._low_pass = filtering.low_pass
         self._stride = filtering.stride(self._dt)
         self._state_half = self._kernels.shape[2] // 2
         self._feature_half = self._feature_kernel.shape[0] // 2

@@ -29,7 +29,7 @@ def input_notes(
     silent = compress(columns.robot.joint_names, without_torque.tolist())
     return (
         *_recording_notes(columns.robot, surveys, filtering),
-        *_low_passed(filtering),
+        *_torque_filter(filtering),
         *(Remark("no changing torque", {"joint": joint}) for joint in silent),
         *_robot_notes(columns, prior, held),
     )
@@ -48,9 +48,9 @@ def _recording_notes(robot: RobotModel, surveys: Sequence[Survey], filtering: Fi
             yield Remark("no temperature", {"joints": lacked}, s.name)
 
 
-def _low_passed(filtering: Filtering) -> Iterator[Remark]:
+def _torque_filter(filtering: Filtering) -> Iterator[Remark]:
     """Yield what torques had passed before they were recorded."""
-    if (passed := filtering.recorded) is not None:
+    if (passed := filtering.low_pass) is not None:
         yield Remark("torques low-passed", {"half_hz": passed.half_hz, "order": passed.order})
 
 

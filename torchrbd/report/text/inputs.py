@@ -83,7 +83,7 @@ def _along(terms: Sequence[Sequence[str]]) -> str:
     return f"simulated motion takes the torque of these terms from the recorded motion: {names}"
 
 
-def _low_passed(half_hz: float, order: int) -> str:
+def _torque_filter(half_hz: float, order: int) -> str:
     return (
         f"the torques were low-passed before they were recorded: half of the amplitude is left at {half_hz:.3g} Hz "
         f"(Butterworth, order {order}, forwards and backwards). Predicted torques pass the same filter. Recordings "
@@ -121,7 +121,7 @@ FACTS: dict[str, Callable[..., str]] = {
     "later start": lambda begin_s, asked_s: (
         f"begins at {begin_s:.3g} s instead of {asked_s:.3g} s: the filters need what lies before"
     ),
-    "torques low-passed": _low_passed,
+    "torques low-passed": _torque_filter,
     "late torque moved": _late_torque,
     "torque is a command": lambda lag_s: (
         f"the recorded torque is a command: actuators follow it with a lag of {lag_s:.3g} s"

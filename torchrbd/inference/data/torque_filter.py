@@ -52,7 +52,7 @@ def find_low_pass(reading: Reading, fitted: int) -> LowPass | None:
         rows = read_rows(reading, Columns(reading.robot, (), covered_scales(reading.surveys, reading.filtering)), _none)
     except RecordingError:  # too short for the filters; the fit says so
         return None
-    regression = _Regression(rows, band)
+    regression = _Regression(rows, reading.filtering.effective_rate)
     without, found = regression.misfit(None), list[tuple[float, LowPass]]()
     for order in _ORDERS:
         best = minimize_scalar(
@@ -76,10 +76,10 @@ class _Regression:
 
     Args:
         rows: band-limited samples.
-        band_hz: their band, in which the torques end.
+        rate_hz: independent samples per second; there are more rows.
     """
 
-    def __init__(self, rows: Rows, band_hz: float) -> None:
+    def __init__(self, rows: Rows, rate_hz: float) -> None:
         self._dt, self._runs = rows.dt_out, np.split(np.arange(len(rows.t)), np.flatnonzero(np.diff(rows.run)) + 1)
         sign, one = rows.evaluated(lambda signals: signals.qd.sign()), np.ones(len(rows.t))
         seen, bodies = [j for j in range(rows.n_dof) if rows.seen[j]], rows.columns.robot.n_params
@@ -87,8 +87,7 @@ class _Regression:
         self._joints = [(np.column_stack((rows.rigid[j], rows.qd[j], sign[j], one)), rows.measured[j]) for j in seen]
         self._places = [np.append(rows.columns.inertial[j], bodies + 3 * k + np.arange(3)) for k, j in enumerate(seen)]
         self._unknowns = bodies + 3 * len(seen)
-        # Outputs are closer to each other than independent samples.
-        self._samples = [2.0 * band_hz * rows.dt_out * len(tau) for tau in self._torque]
+        self._samples = [rate_hz * rows.dt_out * len(tau) for tau in self._torque]
 
     @property
     def count(self) -> float:
