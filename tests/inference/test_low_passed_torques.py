@@ -103,6 +103,12 @@ def test_the_reported_error_is_found_again(tmp_path: Path) -> None:
     assert torchrbd.load_model(tmp_path / "model.safetensors").reported == found.model.reported
 
 
+def test_the_filter_of_a_recording_that_the_model_does_not_know_is_estimated() -> None:
+    found = torchrbd.identify(URDF, [recorded(1, half_hz=None)], holdout=[recorded(3, half_hz=None)])
+    again = torchrbd.replay(found.model, [recorded(2, half_hz=1.7)])
+    assert max(again.nmse.values()) < 1e-3
+
+
 def test_known_loads_are_subtracted_as_they_would_have_been_recorded() -> None:
     robot, sources, settings = read_arguments(
         URDF, [recorded(1, half_hz=1.7)], {"payload": "motion1=3.0,0.1,0.0,0.2"}, "identify"
