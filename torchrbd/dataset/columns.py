@@ -145,8 +145,9 @@ class Columns:
         return self._asked_for[key]
 
     def scale(self, site: Site) -> JointScale:
-        """Return the range that the recordings cover at a site's joint; for the whole robot, at the first joint."""
-        return self.scales[site.joint or 0]
+        """Return the range of a site's joint that the recordings cover; for the whole robot, of the first joint."""
+        j = site.joint or 0
+        return replace(self.scales[j], lower=float(self.robot.lower[j]), upper=float(self.robot.upper[j]))
 
     def at_scales(self, scales: Sequence[JointScale]) -> Columns:
         """Return columns of the same effects for other scales."""

@@ -11,10 +11,6 @@ from torch import Tensor
 from torchrbd.effects.base import LEVEL, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
-# Largest distance of a spring's rest position, in ranges that the joint has covered.
-_MOST_SPANS = 10.0
-
-
 class JointSpring(JointEffect):
     """tau += k (q - q0) with k >= 0; linear in the stiffness k and in the torque at q = 0, which is -k q0."""
 
@@ -31,7 +27,7 @@ class JointSpring(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"
-    prior = CoefficientPrior("A spring pushes back; its rest position is within ten ranges of motion.", positive=(0,))
+    prior = CoefficientPrior("A spring pushes back, and rests within the range of the joint; else it is an offset.", positive=(0,))
     export_note = "the springs of a joint are added: springref is the rest position of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
@@ -45,9 +41,8 @@ class JointSpring(JointEffect):
         return (stiffness, -stiffness * parameters["rest_position"]), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        """Return whether the spring pushes back, with a rest position near enough that it is not a constant torque."""
-        away = abs(parameters["rest_position"] - 0.5 * (scale.q_low + scale.q_high))
-        return parameters["stiffness"] >= 0 and away <= _MOST_SPANS * (scale.q_high - scale.q_low)
+        low, high = scale.reach
+        return parameters["stiffness"] >= 0 and low <= parameters["rest_position"] <= high
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:
         return {"joint": {"stiffness": parameters["stiffness"], "springref": parameters["rest_position"]}}

@@ -93,6 +93,7 @@ class JointScale:
         speed_max: [rad/s, m/s].
         rest_width: see ``JointState``.
         q_low, q_high: [rad, m].
+        lower, upper: the joint's limits [rad, m]; infinite if unknown.
         load_max: largest torque that the actuator supplies [N m, N]; None if unknown.
         duration_s: of the longest recording.
         temperature: lowest and highest [deg C]; None if not recorded.
@@ -105,6 +106,16 @@ class JointScale:
     load_max: float | None = None
     duration_s: float = 300.0
     temperature: tuple[float, float] | None = None
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The range of the joint [rad, m]: its limits; where these are unknown, three times what it has covered."""
+        span = self.q_high - self.q_low
+        lower = self.lower if math.isfinite(self.lower) else self.q_low - span
+        upper = self.upper if math.isfinite(self.upper) else self.q_high + span
+        return min(lower, self.q_low), max(upper, self.q_high)
 
     @property
     def moves(self) -> bool:
