@@ -8,7 +8,7 @@ The mean pays for the number of shapes and windows of time that were tried.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +44,7 @@ class Hypothesis:
         scale: multiple of their prior that has the greatest evidence.
         tried: shapes, or windows, that were averaged over.
         paid: what averaging over them has cost: log evidence less that of the candidate alone.
+        elsewhere: at how many other joints the model has the effect that it is compared in, if it is one of drives.
     """
 
     candidate: Candidate
@@ -53,11 +54,18 @@ class Hypothesis:
     scale: float
     tried: int
     paid: float = 0.0
+    elsewhere: int = 0
 
     @property
     def name(self) -> tuple[str, Site]:
         """Effect and place, whatever its window."""
         return self.candidate.effect.id, replace(self.candidate.site, window=None)
+
+    def among(self, others: Iterable[Hypothesis]) -> Hypothesis:
+        """Return the hypothesis as one of a model that has others, too."""
+        effect, own = self.candidate.effect, self.candidate.site.joint
+        joints = {h.candidate.site.joint for h in others if h.candidate.effect == effect} if effect.of_drives else set()
+        return replace(self, elsewhere=len(joints - {own, None}))
 
     def extra(self, fit: Likelihood, rows: Rows) -> Extra:
         """Return its columns, as a model takes them."""

@@ -56,30 +56,45 @@ class Inclusion:
 def log_odds(h: Hypothesis, rows: Rows) -> float:
     """Return the log odds that an effect is at its place, against none."""
     c = h.candidate
-    return calibrated(h.log_evidence) + prior_log_odds(c.effect, rows.columns.robot) + _so_briefly(c)
+    return calibrated(h.log_evidence) + prior_log_odds(c.effect, rows.columns.robot, h.elsewhere) + _so_briefly(c)
 
 
-def prior_log_odds(effect: Effect, robot: RobotModel) -> float:
-    """Return the log odds of an effect at one place before any data; what is ubiquitous is as likely there as not."""
+def prior_log_odds(effect: Effect, robot: RobotModel, elsewhere: int = 0) -> float:
+    """Return the log odds of an effect at one place before any data; what is ubiquitous is as likely there as not.
+
+    Args:
+        effect: the effect.
+        robot: its robot.
+        elsewhere: at how many other joints it is there, if it is one of drives.
+    """
     prevalence = "unknown" if effect.family == "unknown" else effect.prevalence
-    return 0.0 if prevalence == "ubiquitous" else math.log(EXPECTED[prevalence] / _places(effect, robot))
+    if prevalence == "ubiquitous":
+        return 0.0
+    return _another_log_odds(elsewhere, _places(effect, robot), EXPECTED[prevalence])
 
 
 def curve_log_odds(present: int, tried: int, kinds: int) -> float:
     """Return the log prior odds of one more curve where so many of those that were tried are there.
 
-    On a machine whose laws are all a little wrong a curve is no surprise, on others it is. So the rate of curves is
-    Beta(a, 1) before the data, and integrated out: the odds are (present + a) / (tried - present). a is such that the
-    first one is as rare as ``EXPECTED`` says.
-
-    Source: Scott and Berger, "Bayes and empirical-Bayes multiplicity adjustment", Annals of Statistics 2010, sec. 2.
+    On a machine whose laws are all a little wrong a curve is no surprise, on others it is.
 
     Args:
         present: number of curves that are there, below ``tried``.
         tried: number of curves that may be there.
         kinds: how many effects these are, of which each is as rare as one of family "unknown".
     """
-    return math.log((present + kinds * EXPECTED["unknown"]) / (tried - present))
+    return _another_log_odds(present, tried, kinds * EXPECTED["unknown"])
+
+
+def _another_log_odds(present: int, places: int, expected: float) -> float:
+    """Return the log prior odds of one more of what is alike, where so many are there.
+
+    Their rate is Beta(a, 1) before the data, and integrated out: the odds are (present + a) / (places - present), where
+    a is how many are expected.
+
+    Source: Scott and Berger, "Bayes and empirical-Bayes multiplicity adjustment", Annals of Statistics 2010, sec. 2.
+    """
+    return math.log((present + expected) / (places - present))
 
 
 def _so_briefly(c: Candidate) -> float:

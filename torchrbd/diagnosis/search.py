@@ -159,7 +159,8 @@ class Search(ModelEvidence):
         for k, given in enumerate(self.with_and_without_curves(chosen)):
             look = screen_lasting if lasting or k else screen
             every = look(given, self.rows, self.effects, wanted)
-            found = self.ordered(h for h in every if h.name not in known and h.candidate not in present)
+            new = (h for h in every if h.name not in known and h.candidate not in present)
+            found = self.ordered(h.among(chosen) for h in new)
             short += [self.best_shape(given, h) for h in found[:near]]
             others = others or found[near:]
         judged = {_kind(h): h for h in reversed(self.judge(chosen, short)) if h.candidate not in present}

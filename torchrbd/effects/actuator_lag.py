@@ -40,6 +40,7 @@ class ActuatorLag(Effect):
     words = "actuator lag"
     equation = "T dtau_s/dt"
     shown_by = "Quick changes of torque: the command runs ahead of the motion, by a torque in proportion to its rate."
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"time_constant": "s", "bandwidth": "Hz"}
     whole_robot = True
     uses_load = True

@@ -69,6 +69,7 @@ class Backlash(Effect):
     equation = "tau_load(q + x) - tau_load(q), abs(x) <= b/2"
     shown_by = "Slow motion in which the load changes sign, with enough acceleration that the link crosses the play."
     own_signals = ("q",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"backlash": "{q}", "flight": "{q}", "link_friction": "1"}
     kinds: ClassVar[Mapping[str, Mapping[float, str]]] = {"link_friction": PARTS}
     whole_robot = True

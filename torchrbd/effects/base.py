@@ -122,6 +122,7 @@ class Effect(ABC):
         dry: True if a parameter of it is Coulomb friction in motion, as of other such effects in its place.
         urdf_tag: the attribute of URDF's <dynamics> that is its coefficient.
         acts_on_link: True if it acts behind the gear: it winds up the gear's spring.
+        of_drives: True if a machine that has it at one joint has it at others, too: its drives are of one kind.
         of_rotor: True if it is inertia in front of the gear.
         is_gear_spring: True if it is the spring of the gear, which an encoder behind the gear shows too.
         moves_origin: True if its parameters x, y and z move the origin of a joint.
@@ -167,6 +168,7 @@ class Effect(ABC):
     dry: ClassVar[bool] = False
     urdf_tag: ClassVar[str] = ""
     acts_on_link: ClassVar[bool] = False
+    of_drives: ClassVar[bool] = False
     of_rotor: ClassVar[bool] = False
     is_gear_spring: ClassVar[bool] = False
     moves_origin: ClassVar[bool] = False

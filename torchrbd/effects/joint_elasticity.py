@@ -56,6 +56,7 @@ class JointElasticity(Effect):
     )
     is_gear_spring = True
     own_signals = ("q",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {
         "stiffness": "{tau}/{q}",
         "bandwidth": "Hz",

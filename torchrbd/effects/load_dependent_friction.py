@@ -33,6 +33,7 @@ class LoadDependentFriction(JointEffect):
     )
     curve_times = "direction"
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"load_friction": "1"}
     dissipative = True
     uses_load = True

@@ -31,6 +31,7 @@ class PowerLawFriction(JointEffect):
     equation = "k |qd|^a sign(qd)"
     shown_by = "Constant speeds in equal ratios, from very slow to fast: torque is a straight line on logarithmic axes."
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"friction": "{tau} (s/{q})^a", "exponent": "1"}
     dissipative = True
     prior = RESISTS

@@ -48,6 +48,7 @@ class PreslidingHysteresis(JointEffect):
     dry = True
     curve_times = "direction"
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "distance": "{q}"}
     has_memory = True
     prior = RESISTS

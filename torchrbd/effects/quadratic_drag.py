@@ -24,6 +24,7 @@ class QuadraticDrag(JointEffect):
     equation = "k qd |qd|"
     shown_by = "Constant speeds up to the largest: torque grows with the square of speed."
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"drag": "{tau} s^2/{q}^2"}
     dissipative = True
     prior = RESISTS

@@ -25,6 +25,7 @@ class RotorInertia(JointEffect):
     plain_columns = (ACCELERATION,)
     of_rotor = True
     own_signals = ("qdd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"rotor_inertia": "{tau} s^2/{q}"}
     drawn_over = "qdd"
     prior = CoefficientPrior("An inertia is not negative.", positive=(0,), may_be_none=True)

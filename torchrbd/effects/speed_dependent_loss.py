@@ -29,6 +29,7 @@ class SpeedDependentLoss(JointEffect):
         "Constant speeds in poses with small and with large load: the slope of torque over speed grows with the load."
     )
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"loss": "s/{q}"}
     dissipative = True
     uses_load = True

@@ -34,6 +34,7 @@ class StribeckFriction(JointEffect):
     baseline = ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
     dry = True
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"coulomb": "{tau}", "static": "{tau}", "stribeck_speed": "{q}/s"}
     comes_and_goes = True
     dissipative = True

@@ -40,6 +40,7 @@ class ThermalViscosity(JointEffect):
     of_conditions = True
     curve_times = "speed"
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"viscous_per_kelvin": "{tau} s/({q} K)"}
     drawn_over = "temperature"
     needs = "a channel temperature_<joint> that changes"

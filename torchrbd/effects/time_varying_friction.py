@@ -36,6 +36,7 @@ class TimeVaryingFriction(JointEffect):
     of_conditions = True
     curve_times = "direction"
     own_signals = ("qd",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {
         "coulomb_end": "{tau}",
         "coulomb_start": "{tau}",

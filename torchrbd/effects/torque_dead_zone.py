@@ -36,6 +36,7 @@ class TorqueDeadZone(JointEffect):
     words = "dead zone of the drive"
     equation = "w sign(load)"
     shown_by = "Motion in which the load crosses zero often: torque jumps there, by twice the half width."
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"half_width": "{tau}", "indistinct": "{tau}"}
     uses_load = True
     sees_friction = True

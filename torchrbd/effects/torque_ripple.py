@@ -32,6 +32,7 @@ class TorqueRipple(JointEffect):
     equation = "A sin(m q + phase)"
     shown_by = "A slow constant speed over several periods: torque repeats with the angle."
     own_signals = ("q",)
+    of_drives = True
     units: ClassVar[Mapping[str, str]] = {"amplitude": "{tau}", "phase": "rad", "order": "1/{q}"}
     drawn_over = "q"
     export_note = "<dcmotor> needs other constants too"
