@@ -364,7 +364,8 @@ def _page(motion: Motion, one: Example, rivals: Sequence[Rival]) -> str:
         "\n\n".join(
             [
                 f"# {_first_up(effect.words)}",
-                f"`{effect.id}` · {effect.family} · {effect.prevalence} among machines",
+                f"`{effect.id}` · {effect.family} · {effect.prevalence} among machines"
+                + (" · alike at the joints of one robot" if effect.of_drives else ""),
                 f"Torque that it adds:\n\n```text\ntau += {effect.equation}\n```",
                 _meaning(effect),
                 _parameters(motion, one),

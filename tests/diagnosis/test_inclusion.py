@@ -79,6 +79,25 @@ def test_odds_are_prior_odds_shared_out_over_places_times_the_evidence(rows: Row
     assert prior_log_odds(effect("coulomb_friction"), ARM) == 0.0
 
 
+def test_drives_of_one_robot_are_alike(rows: Rows) -> None:
+    """A rotor at one more joint is as likely as in a beta-binomial distribution; a spring knows no others."""
+    law, robot = effect("rotor_inertia"), rows.columns.robot
+    n = robot.n_dof
+
+    def log_probability(m: int) -> float:
+        return float(betabinom.logpmf(m, n, EXPECTED[law.prevalence], 1.0)) - math.log(comb(n, m))
+
+    steps = [prior_log_odds(law, robot, m) for m in range(n)]
+    assert steps == pytest.approx([log_probability(m + 1) - log_probability(m) for m in range(n)], abs=1e-9)
+    at = {name: [hypothesis(rows, name, Site(j), 7.0) for j in (0, 1)] for name in (law.id, "joint_spring")}
+    every = [h for several in at.values() for h in several]
+    first, spring = at[law.id][0], at["joint_spring"][0]
+    assert first.among(every).elsewhere == 1
+    assert first.among([first, *at["joint_spring"]]).elsewhere == 0
+    assert log_odds(first.among(every), rows) - log_odds(first, rows) == pytest.approx(steps[1] - steps[0])
+    assert log_odds(spring.among(every), rows) == log_odds(spring, rows)
+
+
 @pytest.mark.parametrize("tried", [7, 40])
 def test_curves_are_as_common_as_a_machine_shows(tried: int) -> None:
     """One more curve is as likely as in a beta-binomial distribution, where each set of so many is as likely."""

@@ -113,6 +113,18 @@ class TestPairsOfJoints:
             np.testing.assert_allclose(added + d.sum() * x[1][joint], expected[joint], rtol=1e-9, atol=1e-12)
 
 
+def test_a_spring_rests_within_the_range_of_its_joint() -> None:
+    """Limits are the range where they are known, else three times what was covered; what was covered is in it."""
+
+    def may_rest(at: float, **limits: float) -> bool:
+        scale = JointScale(1.0, 0.01, -1.0, 0.5, **limits)
+        return JointSpring().plausible({"stiffness": 2.0, "rest_position": at}, scale)
+
+    assert [may_rest(at, lower=-3.0, upper=0.7) for at in (-3.1, -2.9, 0.6, 0.8)] == [False, True, True, False]
+    assert [may_rest(at) for at in (-2.6, -2.4, 1.9, 2.1)] == [False, True, True, False]
+    assert [may_rest(at, lower=0.0, upper=0.1) for at in (-1.1, -0.9, 0.4, 0.6)] == [False, True, True, False]
+
+
 @pytest.mark.parametrize(
     ("effect", "good", "bad"),
     [

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrbd.effects.base import LEVEL, CoefficientPrior, JointEffect, Mjcf, Shape
 from torchrbd.effects.signals import JointScale, JointState
 
+
 class JointSpring(JointEffect):
     """tau += k (q - q0) with k >= 0; linear in the stiffness k and in the torque at q = 0, which is -k q0."""
 
@@ -27,7 +28,9 @@ class JointSpring(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"
-    prior = CoefficientPrior("A spring pushes back, and rests within the range of the joint; else it is an offset.", positive=(0,))
+    prior = CoefficientPrior(
+        "A spring pushes back, and rests within the range of the joint; else it is an offset.", positive=(0,)
+    )
     export_note = "the springs of a joint are added: springref is the rest position of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:
