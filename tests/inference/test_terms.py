@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from likelihood.arms import recorded
 from likelihood.fits import OPTIONS, URDF
@@ -12,6 +13,11 @@ from likelihood.fits import OPTIONS, URDF
 from torchrbd.effects import effect
 from torchrbd.inference.identify import identify
 from torchrbd.inference.physical import terms
+from torchrbd.inference.physical.fitting import term_candidates
+from torchrbd.inference.preparation import prepare
+from torchrbd.inference.settings import Settings
+from torchrbd.inference.shapes.refine import fit_with_shapes, refined
+from torchrbd.robot import RobotModel
 
 
 @pytest.mark.parametrize("load", [1.0, 40.0])
@@ -42,3 +48,23 @@ def test_coefficients_have_the_signs_that_physics_gives_them() -> None:
     found = [float(t.coefficients.detach()[0]) for t in model.terms if t.effect.id == "rotor_inertia"]
     assert len(found) == 2
     assert min(found) >= 0.0
+
+
+def test_coulomb_friction_of_several_laws_is_better_known_than_their_parts() -> None:
+    """A joint whose friction builds up quickly: how much of it does, the data hardly say, but they know the sum."""
+    recording = recorded(URDF, 2, lambda m: 0.8 * np.tanh(m.qd / 0.01) + 0.1 * m.qd, **OPTIONS)
+    ids = ("coulomb_friction", "presliding_hysteresis", "viscous_friction")
+    settings = Settings(effects=ids, joints=("joint1",))
+    prepared = prepare(RobotModel.from_urdf(URDF), [recording], settings, settings.chosen_effects())
+    candidates = [c for c in term_candidates(prepared.columns, ids) if c.site.joint == 0]
+    prepared, fitted = refined(prepared, candidates, lambda *_: None)
+    model = fit_with_shapes(prepared, fitted)
+    dry = [c for c in fitted if c.effect.dry]
+    assert len(dry) == 2
+    each = [terms.term_parameters(model, c)["coulomb"] for c in dry]
+    value, std = terms.coulomb_in_motion(model, dry)
+    assert value == pytest.approx(sum(own for own, _ in each), rel=1e-9)
+    assert value == pytest.approx(0.8, rel=0.02)
+    assert std < min(own for _, own in each)
+    for c, own in zip(dry, each, strict=True):
+        assert terms.coulomb_in_motion(model, [c])[0] == pytest.approx(own[0], rel=1e-9)

@@ -247,6 +247,11 @@ def test_a_sentence_says_recordings_and_whether_it_adds_to_others() -> None:
     assert replace(one, adds_to_all=True).statement.startswith(f"{begin} It adds to the same effect in all recordings.")
 
 
+def test_a_sentence_says_the_coulomb_friction_of_all_laws_together() -> None:
+    one = replace(finding("coulomb_friction", "joint1"), coulomb_in_motion=Quantity(0.3, 0.01, "N m"))
+    assert "With its other friction laws, joint1 has a Coulomb friction of 0.300 ± 0.020 N m (95 %)." in one.statement
+
+
 def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:
     ten = {f"p_{k}": Quantity(float(k), 0.0, "kg") for k in range(10)}
     assert finding("payload", links=("hand",), parameters=ten).statement.startswith(

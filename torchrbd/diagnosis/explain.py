@@ -45,7 +45,8 @@ from torchrbd.diagnosis.variant import another_variant
 from torchrbd.effects import Effect
 from torchrbd.effects.base import UNEVENNESS
 from torchrbd.effects.smooth_torque import HUM
-from torchrbd.inference.physical.terms import estimated_parameters
+from torchrbd.inference.physical.fitting import FittedModel
+from torchrbd.inference.physical.terms import coulomb_in_motion, estimated_parameters
 from torchrbd.robot import RobotModel
 
 # Standard deviations of intervals of 95 %, and of a bound.
@@ -108,9 +109,27 @@ def _completed(found: Sequence[Finding], extended: FinalModel) -> tuple[Finding,
     always = {(c.effect.id, *places(robot, c)) for c, _, _ in _sure(extended, {}) if c.site.recordings is None}
     more = [one.where.recordings is not None and (one.effect, one.joints, one.links) in always for one in found]
     return strongest_first(
-        replace(one, adds_to_all=adds, variant=another_variant(one, robot))
+        replace(
+            one,
+            adds_to_all=adds,
+            variant=another_variant(one, robot),
+            coulomb_in_motion=_coulomb_in_motion(one, extended.model),
+        )
         for one, adds in zip(found, more, strict=True)
     )
+
+
+def _coulomb_in_motion(one: Finding, model: FittedModel) -> Quantity | None:
+    """Return the Coulomb friction of a finding's joint, if the finding is one of several laws that have a part of it."""
+    names = model.columns.robot.joint_names
+    dry = [c for c in model.proper_terms if c.effect.dry and c.site.always and names[c.joint] in one.joints]
+    own = [set(model.columns.of(c)) for c in dry]
+    laws = [c for c, mine in zip(dry, own, strict=True) if not any(mine < others for others in own)]
+    if len(laws) < 2 or one.effect not in [c.effect.id for c in dry] or one.where != Where():
+        return None
+    value, std = coulomb_in_motion(model, laws)
+    joint = laws[0].joint
+    return Quantity(value, std, COULOMB.unit("coulomb", prismatic=bool(model.columns.robot.prismatic[joint])))
 
 
 def _once(kept: Sequence[tuple[Candidate, Finding]], columns: Columns) -> list[tuple[Candidate, Finding]]:

@@ -206,6 +206,8 @@ class Finding(Stated):
             held-out data has none of it; or "", where that time is too short.
         held_out_ratio: its torque on held-out data over that fitted (1: the same); None if too little there.
         stability: share of repeated searches that find it again, see ``stability``; None if none were made.
+        coulomb_in_motion: Coulomb friction of its joint in motion, if several findings have a part of it: their sum,
+            which is better known than the parts.
         adds_to_all: whether it adds to the same effect in all recordings.
         variant: set where a joint origin is so far off that the URDF may be another variant's.
         deflection: what the encoder behind the gear shows of it, for a spring.
@@ -232,6 +234,7 @@ class Finding(Stated):
     judged_on: str = HELD_OUT
     held_out_ratio: Ratio | None = None
     stability: float | None = None
+    coulomb_in_motion: Quantity | None = None
     adds_to_all: bool = False
     variant: Variant | None = None
     deflection: Deflection | None = None

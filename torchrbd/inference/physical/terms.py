@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor
@@ -18,6 +19,8 @@ _ROUNDING = 1e-14
 _DIFFERENCE = 1e-3
 # A coefficient is significant from so many standard deviations on; another may be so many times its prior size.
 _SIGNIFICANT, _WIDE = 3.0, 10.0
+# Names of Coulomb friction in motion among an effect's parameters.
+_IN_MOTION = ("coulomb", "coulomb_plus", "coulomb_minus")
 
 
 def term_estimates(model: FittedModel) -> list[ParameterEstimate]:
@@ -82,6 +85,26 @@ def estimated_parameters(model: FittedModel, candidate: Candidate) -> dict[str, 
         name: (math.nan, math.nan) if std > widest * own else (v, std)
         for (name, (v, std)), own in zip(found.items(), believed, strict=True)
     }
+
+
+def coulomb_in_motion(model: FittedModel, laws: Iterable[Candidate]) -> tuple[float, float]:
+    """Return the Coulomb friction of several laws at one joint together, and its standard deviation.
+
+    Each law may absorb a part of the others; their sum is better known than any of them. Of friction that differs by
+    direction it is the mean of both directions.
+
+    Args:
+        model: the fit.
+        laws: effects that are ``dry``, all at one joint.
+    """
+    total, g = 0.0, torch.zeros(len(model.free), dtype=torch.float64)
+    for c in laws:
+        w = model.coefficients(c)[0].requires_grad_(True)
+        parts = [v for name, v in c.effect.parameters(w, c.shape).items() if name in _IN_MOTION]
+        own = torch.stack(parts).mean()
+        g = g.index_add(0, model.position(c), torch.autograd.grad(own, w)[0])
+        total += float(own.detach())
+    return total, _variance(model, g) ** 0.5
 
 
 def _prior_shares(model: FittedModel, candidate: Candidate) -> dict[str, float]:

@@ -47,7 +47,7 @@ def finding_statement(finding: Finding) -> str:
         )
         return f"{deflection_statement(finding.deflection)} {shown}"
     more = "It adds to the same effect in all recordings." if finding.adds_to_all else ""
-    sizes = _subject(finding), more, _no_size(finding) if finding.confirmed else ""
+    sizes = _subject(finding), more, _no_size(finding) if finding.confirmed else "", _in_motion(finding)
     worth = _not_confirmed(finding), _worth(finding), _stability(finding)
     parts = (*sizes, *worth, _alike(finding), _variant(finding))
     return " ".join(filter(None, parts))
@@ -78,6 +78,14 @@ def _no_size(finding: Finding) -> str:
         return "No single parameter differs significantly from zero; together they do."
     names = joined(parameter_words(name) for name in free)
     return f"{capital(names)} do not differ significantly from zero one by one; together they do."
+
+
+def _in_motion(finding: Finding) -> str:
+    """Say what Coulomb friction a joint has whose findings each have a part of it."""
+    q = finding.coulomb_in_motion
+    if q is None:
+        return ""
+    return f"With its other friction laws, {joined(finding.joints)} has a Coulomb friction of {value(q)} (95 %)."
 
 
 def _not_confirmed(finding: Finding) -> str:
