@@ -120,7 +120,7 @@ def _completed(found: Sequence[Finding], extended: FinalModel) -> tuple[Finding,
 
 
 def _coulomb_in_motion(one: Finding, model: FittedModel) -> Quantity | None:
-    """Return the Coulomb friction of a finding's joint, if the finding is one of several laws that have a part of it."""
+    """Return the Coulomb friction of a joint if the finding is one of several laws that each have a part of it."""
     names = model.columns.robot.joint_names
     dry = [c for c in model.proper_terms if c.effect.dry and c.site.always and names[c.joint] in one.joints]
     own = [set(model.columns.of(c)) for c in dry]
