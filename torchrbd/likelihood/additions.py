@@ -107,7 +107,7 @@ class Additions:
 
     def _copy(self, std: np.ndarray) -> Additions:
         other = copy(self)
-        for name in ("_active", "_root", "_inverse", "z", "log_evidence"):
+        for name in ("_active", "_root", "_half_inverse", "_inverse", "z", "log_evidence"):
             other.__dict__.pop(name, None)
         other.std = std
         return other
@@ -153,12 +153,25 @@ class Additions:
         return L
 
     @cached_property
+    def _half_inverse(self) -> np.ndarray:
+        """A^-1 for the coefficients in the model; only the lower half is valid."""
+        return _potri(self._root, lower=1)[0]
+
+    @cached_property
     def _inverse(self) -> np.ndarray:
         """A^-1 (K, K), of a coefficient that is not in the model its prior."""
         found = np.eye(len(self.std))
         if len(self._active):
-            half, _ = _potri(self._root, lower=1)
+            half = self._half_inverse
             found[np.ix_(self._active, self._active)] = np.tril(half) + np.tril(half, -1).T
+        return found
+
+    @property
+    def _variance(self) -> np.ndarray:
+        """The diagonal (K,) of A^-1."""
+        found = np.ones(len(self.std))
+        if len(self._active):
+            found[self._active] = self._half_inverse.diagonal()
         return found
 
     @cached_property
@@ -230,7 +243,7 @@ class Additions:
         """
         now = self
         for _ in range(_STEPS if components else 0):
-            variance = now._inverse.diagonal()
+            variance = now._variance
             each = [(now.z[at], variance[at]) for at in map(now.at, components)]
             fixed = [(z @ z) / max(len(z) - var.sum(), _FREEDOM) for z, var in each]
             then = now._by(components, fixed)
