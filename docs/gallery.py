@@ -44,7 +44,6 @@ _ROWS = 3  # of the table of what an effect is confused with
 _EXAMPLES: dict[str, dict[str, float]] = {
     "actuator_lag": {"time_constant": 0.01, "bandwidth": 48.0},
     "backlash": {"backlash": 0.005, "flight": 0.005, "link_friction": 1.0},
-    "cable_drag": {"start": 0.2, "end": 0.9, "resistance": 4.0},
     "encoder_offset": {"offset": 0.02},
     "external_wrench": dict.fromkeys(("force_x", "force_y", "moment_x", "moment_y", "moment_z"), 0.0)
     | {"force_z": -20.0},

@@ -173,13 +173,10 @@ class PositionDependent(Dry):
     def depends_on(self, robot: Robot) -> list[str]:
         return [f"{signal}_{robot.joints[self.joint]}" for signal in ("q", "qd")]
 
-    def same_as(self, robot: Robot) -> list[Place]:
-        return [named("cable_drag", robot, [self.joint])]
-
 
 @dataclass
 class CableDrag(Dry):
-    """c sign(qd) between two angles, with soft edges."""
+    """c sign(qd) between two angles, with soft edges: friction that depends on position, of another shape."""
 
     id = "cable_drag"
     start: float

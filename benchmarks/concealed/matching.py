@@ -15,7 +15,6 @@ CONTAINS: Mapping[str, frozenset[str]] = {
     "stribeck_friction": frozenset({"coulomb_friction", "asymmetric_coulomb_friction"}),
     "time_varying_friction": frozenset({"coulomb_friction", "asymmetric_coulomb_friction"}),
     "position_dependent_friction": frozenset({"coulomb_friction", "asymmetric_coulomb_friction"}),
-    "cable_drag": frozenset({"coulomb_friction", "asymmetric_coulomb_friction"}),
     "presliding_hysteresis": frozenset({"coulomb_friction", "asymmetric_coulomb_friction"}),
     "power_law_friction": frozenset({"viscous_friction"}),
     "thermal_viscosity": frozenset({"viscous_friction"}),

@@ -169,7 +169,13 @@ def test_rivals_of_what_acts_for_a_time_are_at_its_place() -> None:
 def test_a_joint_has_one_shape_of_friction_and_one_modulator() -> None:
     fit = fitted(at_joint(0, lambda m: 0.8 * np.tanh(m.qd[:, 0] / 0.05) * np.abs(m.qd[:, 0])))
     rows = carried(fit)
-    names = ("quadratic_drag", "stribeck_friction", "load_dependent_friction", "cable_drag", "joint_spring")
+    names = (
+        "quadratic_drag",
+        "stribeck_friction",
+        "load_dependent_friction",
+        "position_dependent_friction",
+        "joint_spring",
+    )
     search = Search(rows, [effect(name) for name in names], learn_discrepancy(fit, rows))
     drag = hypothesis_of(fit, rows, candidate(rows, "quadratic_drag", Site(0)))
     assert drag is not None
@@ -178,7 +184,7 @@ def test_a_joint_has_one_shape_of_friction_and_one_modulator() -> None:
     assert {("stribeck_friction", Site(1)), ("load_dependent_friction", Site(0)), ("joint_spring", Site(0))} <= offered
     load = hypothesis_of(fit, rows, candidate(rows, "load_dependent_friction", Site(0)))
     assert load is not None
-    assert ("cable_drag", Site(0)) not in {h.name for h in search.rank([drag, load])}
+    assert ("position_dependent_friction", Site(0)) not in {h.name for h in search.rank([drag, load])}
     assert "stribeck_friction" in {h.name[0] for h in search.rivals([load], drag)}, "shapes compete for the place"
 
 

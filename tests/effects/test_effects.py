@@ -48,7 +48,6 @@ EXPECTED_IDS = {
     "geometry_error",
     "power_law_friction",
     "counterbalance",
-    "cable_drag",
     "thermal_viscosity",
     "velocity_coupling",
     "coupled_motor",

@@ -10,7 +10,6 @@ from effects.sites import ROBOT, signals
 from scipy.integrate import trapezoid
 
 from torchrbd.effects import Signals, Site
-from torchrbd.effects.cable_drag import CableDrag
 from torchrbd.effects.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
 from torchrbd.effects.position_dependent_friction import PositionDependentFriction
 from torchrbd.effects.power_law_friction import PowerLawFriction
@@ -61,20 +60,21 @@ class TestFriction:
         np.testing.assert_allclose(found, np.abs(QD) ** 1.5 * np.sign(QD), rtol=1e-12)
 
     def test_position_dependent(self) -> None:
-        given = {"centre": 0.2, "width": 0.7, "coulomb": 0.5, "coulomb_at_centre": 2.0}
+        given = {"centre": 0.2, "width": 0.7, "profile": 0.0, "coulomb": 0.5, "coulomb_at_centre": 2.0}
         found = torque(PositionDependentFriction(), **given)
         np.testing.assert_allclose(found, np.sign(QD) * (0.5 + 1.5 * np.exp(-(((Q - 0.2) / 0.7) ** 2))), rtol=1e-12)
         assert found[2] == pytest.approx(2.0)
         far = torque(PositionDependentFriction(), **{**given, "width": 0.01})
         np.testing.assert_allclose(np.delete(far, 2), 0.5 * np.sign(np.delete(QD, 2)), rtol=1e-12)
 
-    def test_cable_drag(self) -> None:
+    def test_a_cable_rubs_within_a_range(self) -> None:
         q = np.linspace(-3, 3, 601)
-        found = torque(CableDrag(), q, np.full(601, -0.5), start=-1.0, end=1.0, resistance=2.0)
-        np.testing.assert_allclose(found[np.abs(q) < 0.5], -2.0, rtol=0.01)
-        np.testing.assert_allclose(found[np.abs(q) > 1.5], 0.0, atol=0.02)
-        np.testing.assert_allclose(found[np.abs(np.abs(q) - 1.0) < 1e-9], -1.0, rtol=1e-6)
-        assert trapezoid(found, q) == pytest.approx(-2.0 * 2.0, rel=1e-6)
+        given = {"centre": 0.5, "width": 1.0, "profile": 1.0, "coulomb": 0.3, "coulomb_at_centre": 2.0}
+        found = torque(PositionDependentFriction(), q, np.full(601, -0.5), **given)
+        np.testing.assert_allclose(found[np.abs(q - 0.5) < 0.5], -2.0, rtol=0.01)
+        np.testing.assert_allclose(found[np.abs(q - 0.5) > 1.5], -0.3, atol=0.02)
+        np.testing.assert_allclose(found[np.abs(np.abs(q - 0.5) - 1.0) < 1e-9], -1.15, rtol=1e-6)
+        assert trapezoid(found, q) == pytest.approx(-0.3 * 6.0 - 1.7 * 2.0, rel=1e-6)
 
     def test_time_varying(self) -> None:
         qd = np.where(np.arange(400) % 2, 1.0, -1.0)

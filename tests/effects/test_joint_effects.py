@@ -11,7 +11,6 @@ from robot.random_robots import random_urdf
 
 from torchrbd.effects import Effect, JointScale, Site
 from torchrbd.effects import effect as effect_of
-from torchrbd.effects.cable_drag import CableDrag
 from torchrbd.effects.counterbalance import Counterbalance
 from torchrbd.effects.joint_coupling import JointCoupling
 from torchrbd.effects.joint_spring import JointSpring
@@ -143,22 +142,19 @@ def test_a_spring_rests_within_the_range_of_its_joint() -> None:
         (ThermalViscosity(), {"viscous_per_kelvin": 0.1}, {"viscous_per_kelvin": -0.1}),
         (
             PositionDependentFriction(),
-            {"centre": 0, "width": 0.2, "coulomb": 0, "coulomb_at_centre": 1},
+            {"centre": 0, "width": 0.2, "profile": 0, "coulomb": 0, "coulomb_at_centre": 1},
             {"coulomb": -1},
         ),
         (
             PositionDependentFriction(),
-            {"centre": 0, "width": 0.2, "coulomb": 2, "coulomb_at_centre": 1},
+            {"centre": 0, "width": 0.2, "profile": 0, "coulomb": 2, "coulomb_at_centre": 1},
             {"centre": 2.0},
         ),
         (
             PositionDependentFriction(),
-            {"centre": 0, "width": 0.2, "coulomb": 2, "coulomb_at_centre": 1},
+            {"centre": 0, "width": 0.2, "profile": 0, "coulomb": 2, "coulomb_at_centre": 1},
             {"width": -0.2},
         ),
-        (CableDrag(), {"start": -1.0, "end": 0.5, "resistance": 1.0}, {"resistance": -1.0}),
-        (CableDrag(), {"start": -1.0, "end": 0.5, "resistance": 1.0}, {"end": -1.2}),
-        (CableDrag(), {"start": -1.0, "end": 2.5, "resistance": 1.0}, {"start": 1.8}),
         (JointSpring(), {"stiffness": 2.0, "rest_position": 3.0}, {"stiffness": -2.0}),
         (JointSpring(), {"stiffness": 2.0, "rest_position": 3.0}, {"rest_position": 70.0}),
         (OneSidedSpring(), {"contact_position": 0.0, "side": -1.0, "stiffness": 2.0}, {"stiffness": -2.0}),

@@ -227,5 +227,7 @@ def test_dahl_is_the_bristle_of_a_motor() -> None:
 
 
 def test_effects_without_a_word_say_so() -> None:
-    silent: list[Effect] = [effect(name) for name in ("cable_drag", "backlash", "external_wrench", "counterbalance")]
+    silent: list[Effect] = [
+        effect(name) for name in ("load_dependent_friction", "backlash", "external_wrench", "counterbalance")
+    ]
     assert all(one.mjcf({}) == {} and one.export_note for one in silent)

@@ -30,7 +30,7 @@ def parts(*terms: Term) -> torch.Tensor:
 @pytest.mark.parametrize("name", [name for name, e in known_effects().items() if e.baseline])
 def test_is_the_torque_of_the_terms_that_count(name: str) -> None:
     """Away from rest and where what an effect has beside Coulomb friction has died away."""
-    far = {"stribeck_speed": 0.1, "time_constant": 1e-3, "centre": 50.0, "width": 0.1}
+    far = {"stribeck_speed": 0.1, "time_constant": 1e-3, "centre": 50.0, "width": 0.1, "profile": 0.0}
     shape = {k: far[k] for k in effect(name).shapes(SCALE)[0]}
     one = term(name, 1, *(0.8, 0.3)[: len(effect(name).baseline)], **shape)
     q, qd, qdd = states(200)

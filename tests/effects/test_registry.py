@@ -141,4 +141,6 @@ def test_friction_is_a_shape_over_velocity_or_modulates_one() -> None:
     plain = {"viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction"}
     assert {e.id for e in every if e.friction_part} == friction - plain
     assert {"stribeck_friction", "presliding_hysteresis"} <= {e.id for e in every if e.friction_part == "shape"}
-    assert {"load_dependent_friction", "cable_drag"} <= {e.id for e in every if e.friction_part == "modulator"}
+    assert {"load_dependent_friction", "position_dependent_friction"} <= {
+        e.id for e in every if e.friction_part == "modulator"
+    }

@@ -9,7 +9,6 @@ from effects.joint_torques import Values, rest
 from effects.sites import ROBOT, SCALE
 
 from torchrbd.effects import Effect, JointScale, Shape, Signals, Site
-from torchrbd.effects.cable_drag import CableDrag
 from torchrbd.effects.counterbalance import Counterbalance
 from torchrbd.effects.joint_elasticity import JointElasticity
 from torchrbd.effects.one_sided_spring import OneSidedSpring
@@ -23,7 +22,6 @@ SHAPED = (
     PowerLawFriction(),
     TimeVaryingFriction(),
     PositionDependentFriction(),
-    CableDrag(),
     OneSidedSpring(),
     TorqueRipple(),
     Counterbalance(),
@@ -62,11 +60,10 @@ def drawn(effect: Effect, scale: JointScale, rng: np.random.Generator) -> dict[s
             settles_s = scale.duration_s * (3.0 / scale.duration_s) ** rng.uniform()
             return {"coulomb_end": 1.0, "coulomb_start": 2.0, "time_constant": settles_s}
         case "position_dependent_friction":
-            centre = rng.uniform(low, low + span)
-            return {"centre": centre, "width": 0.6 * part * span, "coulomb": 1.0, "coulomb_at_centre": 2.0}
-        case "cable_drag":
-            start = low + rng.uniform(0, 1 - part) * span
-            return {"start": start, "end": start + part * span, "resistance": 1.0}
+            profile = float(rng.integers(2))
+            width, edge = ((0.6 * part, 0.0), (0.5 * part, 0.5 * part))[int(profile)]
+            shape = {"centre": low + rng.uniform(edge, 1 - edge) * span, "width": width * span, "profile": profile}
+            return {**shape, "coulomb": 1.0, "coulomb_at_centre": 2.0}
         case "one_sided_spring":
             side = rng.choice([-1.0, 1.0])
             contact = scale.q_high - part * span if side > 0 else low + part * span
@@ -114,9 +111,7 @@ class TestGrids:
             assert effect.plausible({name: float(v) for name, v in found.items()}, SCALE)
 
 
-@pytest.mark.parametrize(
-    "effect", [PositionDependentFriction(), CableDrag(), OneSidedSpring(), TorqueRipple()], ids=lambda e: e.id
-)
+@pytest.mark.parametrize("effect", [PositionDependentFriction(), OneSidedSpring(), TorqueRipple()], ids=lambda e: e.id)
 def test_a_joint_that_stands_still_has_no_shapes(effect: Effect) -> None:
     assert effect.shapes(JointScale(1e-3, 1e-4, 0.3, 0.3)) == ()
 

@@ -102,7 +102,7 @@ PARTLY = [
     ("time_varying_friction", {"coulomb_end": 0.5, "coulomb_start": 0.8, "time_constant": 9.0}, 0.5, "settles to"),
     (
         "position_dependent_friction",
-        {"centre": 0.1, "width": 0.2, "coulomb": 0.5, "coulomb_at_centre": 0.7},
+        {"centre": 0.1, "width": 0.2, "profile": 0.0, "coulomb": 0.5, "coulomb_at_centre": 0.7},
         0.5,
         "outside of the region",
     ),

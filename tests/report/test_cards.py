@@ -71,7 +71,7 @@ def test_cards_draw_curves_and_say_what_data_is(tmp_path):
     result = diagnosis(("joint1", "joint2"))
     ripple = replace(result.findings[0], effect="torque_ripple", where=Where(), curve=curve("q_joint1"))
     load = replace(ripple, effect="load_dependent_friction", curve=curve("tau_joint2"))
-    drag = replace(ripple, effect="cable_drag", curve=curve("q_joint2"))
+    drag = replace(ripple, effect="position_dependent_friction", curve=curve("q_joint2"))
     left = replace(result.unexplained[0], curve=curve("t"))
     page = render(replace(result, findings=(ripple, load, drag), unexplained=(left,)), tmp_path)
     text = " ".join(Text(page).words)

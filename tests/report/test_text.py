@@ -181,7 +181,14 @@ def test_every_kind_of_place_is_named_in_the_headline() -> None:
 
 
 def test_a_headline_of_many_findings_has_25_words_at_most() -> None:
-    names = ("counterbalance", "joint_spring", "coupled_motor", "cable_drag", "actuator_lag", "geometry_error")
+    names = (
+        "counterbalance",
+        "joint_spring",
+        "coupled_motor",
+        "load_dependent_friction",
+        "actuator_lag",
+        "geometry_error",
+    )
     found = [finding(name, f"joint{k + 1}", log_evidence_gain=float(-k)) for k, name in enumerate(names)]
     words = head(*found)
     assert len(words.split()) <= 25
@@ -230,8 +237,8 @@ def test_a_guess_is_called_so_behind_its_rival() -> None:
         (finding("payload", links=("hand",), where=Where(("a.csv",), ((2.0, 8.04),))),
          "Payload on hand (in a.csv, 2.0 to 8.0 s): size"),
         (finding("base_tilt"), "Tilted base on the whole robot: size"),
-        (finding("cable_drag", "joint1", where=Where(region=(Region("q_joint1", -0.1234, 0.5),))),
-         "Cable drag over a range of positions at joint1 (q_joint1 from −0.123 to 0.5): size"),
+        (finding("position_dependent_friction", "joint1", where=Where(region=(Region("q_joint1", -0.1234, 0.5),))),
+         "Friction that depends on position at joint1 (q_joint1 from −0.123 to 0.5): size"),
         (finding("third_party_effect", "joint1", depends_on=("q_joint2",)),
          "Third party effect that depends on the position of joint2 at joint1: size"),
     ],
@@ -293,9 +300,9 @@ def test_a_significant_angle_is_no_significant_torque() -> None:
 
 
 def test_a_sentence_does_not_say_a_region_twice() -> None:
-    ends = {"start": Quantity(0.1, 0.01, "rad"), "end": Quantity(0.5, 0.01, "rad")}
-    drag = finding("cable_drag", "joint1", parameters=ends, where=Where(region=(Region("q_joint1", 0.1, 0.5),)))
-    assert "q_joint1" not in drag.statement
+    contact = {"contact_position": Quantity(0.1, 0.01, "rad")}
+    where = Where(region=(Region("q_joint1", 0.1, 0.5),))
+    assert "q_joint1" not in finding("one_sided_spring", "joint1", parameters=contact, where=where).statement
 
 
 def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:

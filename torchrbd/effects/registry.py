@@ -6,7 +6,6 @@ from torchrbd.effects.actuator_lag import ActuatorLag
 from torchrbd.effects.backlash import Backlash
 from torchrbd.effects.base import Effect
 from torchrbd.effects.base_tilt import BaseTilt
-from torchrbd.effects.cable_drag import CableDrag
 from torchrbd.effects.coulomb_friction import AsymmetricCoulombFriction, CoulombFriction
 from torchrbd.effects.counterbalance import Counterbalance
 from torchrbd.effects.coupled_motor import CoupledMotor
@@ -68,7 +67,6 @@ for _effect in (
     TimeVaryingFriction(),
     ThermalViscosity(),
     PositionDependentFriction(),
-    CableDrag(),
     PreslidingHysteresis(),
     OneSidedSpring(),
     Counterbalance(),

@@ -156,10 +156,6 @@ def candidates(robot: Robot, x: Motion, effect: Effect) -> Iterator[Candidate]:
     n, inside = robot.n, bodies.inside(effect, x.t)
     for j in range(n):
         yield from _of_joint(x, j, inside)
-    if effect.id == "position_dependent_friction":
-        # A region with edges is a cable's as well, at its very place, between the grid's.
-        column = DRY[effect.id](x, effect.joint, {**effect.shape, "soft": 0.0}) * x.direction[:, effect.joint]
-        yield Candidate("cable_drag", (effect.joint,), (), column[:, None], effect.joint)
     yield Candidate("torque_scale", (), (), x.supplied[:, :, None])
     for delay in _DELAYS_S:
         yield Candidate("time_delay", (), (), _later(x, delay)[:, :, None])
@@ -208,9 +204,9 @@ def _of_joint(x: Motion, j: int, inside: np.ndarray) -> Iterator[Candidate]:
     yield from (dry("time_varying_friction", end=0.0, time=s) for s in (3.0, 6.0, 12.0, 25.0))
     for centre in np.linspace(0.05, 0.95, 13):
         for width in (0.06, 0.12, 0.2, 0.3):
-            for effect, soft in (("position_dependent_friction", 1.0), ("cable_drag", 0.0)):
+            for soft in (1.0, 0.0):
                 place = {"centre": low + centre * span, "width": width * span, "soft": soft}
-                yield one(effect, DRY["position_dependent_friction"](x, j, place) * x.direction[:, j])
+                yield dry("position_dependent_friction", **place)
     yield from (one("presliding_hysteresis", dahl_along(q, s * span)) for s in (0.01, 0.02, 0.04, 0.08, 0.15))
     yield one("rotor_inertia", x.a[:, j])
     yield one("joint_spring", q - q.mean())
