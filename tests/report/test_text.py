@@ -256,7 +256,7 @@ def test_a_sentence_says_recordings_and_whether_it_adds_to_others() -> None:
 
 def test_a_sentence_says_the_coulomb_friction_of_all_laws_together() -> None:
     one = replace(finding("coulomb_friction", "joint1"), coulomb_in_motion=Quantity(0.3, 0.01, "N m"))
-    assert "With its other friction laws, joint1 has a Coulomb friction of 0.300 ± 0.020 N m (95 %)." in one.statement
+    assert "All friction laws of joint1 together: Coulomb friction 0.300 ± 0.020 N m (± 95 %)." in one.statement
 
 
 def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:

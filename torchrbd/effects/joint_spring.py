@@ -1,4 +1,4 @@
-"""Joint spring: a spring between a link and its parent, such as a counterbalance, a bent cable bundle, a tight seal."""
+"""Joint spring: a spring between a link and its parent, such as a bent cable bundle or a tight seal."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ class JointSpring(JointEffect):
     units: ClassVar[Mapping[str, str]] = {"stiffness": "{tau}/{q}", "rest_position": "{q}"}
     comes_and_goes = True
     drawn_over = "q"
-    prior = CoefficientPrior(
-        "A spring pushes back, and rests within the range of the joint; else it is an offset.", positive=(0,)
-    )
+    prior = CoefficientPrior("A spring pushes back, and rests within the range of the joint.", positive=(0,))
     export_note = "the springs of a joint are added: springref is the rest position of their sum"
 
     def joint_features(self, state: JointState, shape: Shape) -> dict[str, Tensor]:

@@ -1,7 +1,6 @@
-"""Position-dependent friction: a sticky region (dented bearing, dry spot, rubbing cable), or one that is worn smooth.
+"""Position-dependent friction: a sticky region (dented bearing, dry spot, cable that rubs), or one that is worn smooth.
 
-The region has one of two profiles: a bump around one position, or a range with edges, within which a cable or hose rubs
-(cable drag).
+The region has one of two profiles: a bump, or a range with edges.
 
 Source: the bump is that of Stribeck friction, over position instead of speed.
 """
@@ -27,7 +26,8 @@ class PositionDependentFriction(JointEffect):
         bump:   g = exp(-((q - q_0) / w)^2)
         range:  g = 1/2 (tanh((q - q_0 + w) / e) - tanh((q - q_0 - w) / e)),   e = w / 5
 
-    Friction is c_0 at the centre q_0 and c far from it; the region reaches from q_0 - w to q_0 + w.
+    Friction is c_0 at the centre q_0, and c far from it, the joint's baseline Coulomb friction included. w is half the
+    width of the region: there a bump has fallen to 37 %, and a range to 50 %.
     """
 
     id = "position_dependent_friction"

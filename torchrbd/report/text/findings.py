@@ -85,7 +85,7 @@ def _in_motion(finding: Finding) -> str:
     q = finding.coulomb_in_motion
     if q is None:
         return ""
-    return f"With its other friction laws, {joined(finding.joints)} has a Coulomb friction of {value(q)} (95 %)."
+    return f"All friction laws of {joined(finding.joints)} together: Coulomb friction {value(q)} (± 95 %)."
 
 
 def _not_confirmed(finding: Finding) -> str:
