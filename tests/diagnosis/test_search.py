@@ -16,6 +16,7 @@ from torchrbd.diagnosis.discrepancy import learn_discrepancy
 from torchrbd.diagnosis.hypotheses import hypothesis_of
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.posterior import log_odds
+from torchrbd.diagnosis.screening import refine_shape
 from torchrbd.diagnosis.search import Search, search_effects
 from torchrbd.effects import Site, effect
 
@@ -186,6 +187,20 @@ def test_a_joint_has_one_shape_of_friction_and_one_modulator() -> None:
     assert load is not None
     assert ("position_dependent_friction", Site(0)) not in {h.name for h in search.rank([drag, load])}
     assert "stribeck_friction" in {h.name[0] for h in search.rivals([load], drag)}, "shapes compete for the place"
+
+
+def test_refining_a_shape_leads_from_one_kind_to_another() -> None:
+    """A bump where friction has a range with edges: no other bump is likelier than the range."""
+    fit = fitted(at_joint(0, lambda m: 2.0 * (np.abs(m.q[:, 0] - 0.2) < 0.4) * np.tanh(m.qd[:, 0] / 0.01)))
+    rows = carried(fit)
+    bump = candidate(rows, "position_dependent_friction", Site(0), centre=0.15, width=0.45, profile=0.0)
+    start = hypothesis_of(fit, rows, bump)
+    assert start is not None
+    found = refine_shape(fit, rows, start)
+    assert found.log_evidence > start.log_evidence + 10.0
+    shape = found.candidate.shape
+    assert shape["profile"] == 1.0
+    assert (shape["centre"], shape["width"]) == pytest.approx((0.2, 0.4), abs=0.05)
 
 
 @pytest.mark.parametrize(("settles_s", "possible"), [(1.0, False), (5.0, True)])

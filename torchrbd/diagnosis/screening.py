@@ -58,7 +58,7 @@ def refine_shape(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         return h
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
     rest = _less(h.log_evidence, at.log_evidence - math.log(h.tried))
-    at = _or_agreeing(fit, rows, at)
+    at = _likeliest_kind(fit, rows, _or_agreeing(fit, rows, at))
     cell = at.log_evidence
     for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
@@ -82,6 +82,20 @@ def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
         ]
         found += [agree_shape(fit, rows, other, plausible=False) for other in _hypotheses_of(fit, rows, [c, *grid])]
     return max(found, key=lambda each: each.log_evidence)
+
+
+def _likeliest_kind(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
+    """Return the likeliest of a candidate and those that differ from it in one kind alone, such as the side of a stop.
+
+    Kinds have no values between them, so refining other parameters never leads from one to another.
+    """
+    columns, effect, site = rows.columns, one.candidate.effect, one.candidate.site
+    grid = effect.shapes(columns.scale(site)) if effect.kinds else ()
+    for name in effect.kinds:
+        values = sorted({shape[name] for shape in grid} - {one.candidate.shape[name]})
+        others = [columns.candidate(effect, site, {**one.candidate.shape, name: v}) for v in values]
+        one = max((one, *_hypotheses_of(fit, rows, others)), key=lambda each: each.log_evidence)
+    return one
 
 
 def _less(total: float, part: float) -> float:
