@@ -197,7 +197,7 @@ def test_refining_a_shape_leads_from_one_kind_to_another() -> None:
     start = hypothesis_of(fit, rows, bump)
     assert start is not None
     found = refine_shape(fit, rows, start)
-    assert found.log_evidence > start.log_evidence + 10.0
+    assert found.log_evidence - found.paid > start.log_evidence + 5.0
     shape = found.candidate.shape
     assert shape["profile"] == 1.0
     assert (shape["centre"], shape["width"]) == pytest.approx((0.2, 0.4), abs=0.05)
