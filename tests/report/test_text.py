@@ -231,9 +231,9 @@ def test_a_guess_is_called_so_behind_its_rival() -> None:
     ("one", "begin"),
     [
         (finding("coulomb_friction", "joint1", parameters={"coulomb": Quantity(1.2, 0.01, "N m")}),
-         "Coulomb friction at joint1: 1.200 ± 0.020 N m (± 95 %)."),
+         "Coulomb friction at joint1: 1.200 ± 0.020 N m (95 % intervals)."),
         (finding("velocity_coupling", "joint2", depends_on=("qd_joint4",)),
-         "Coupling to joint4's velocity at joint2: size 1.635 ± 0.008 N m (± 95 %)."),
+         "Coupling to joint4's velocity at joint2: size 1.635 ± 0.008 N m (95 % intervals)."),
         (finding("payload", links=("hand",), where=Where(("a.csv",), ((2.0, 8.04),))),
          "Payload on hand (in a.csv, 2.0 to 8.0 s): size"),
         (finding("base_tilt"), "Tilted base on the whole robot: size"),
@@ -249,14 +249,14 @@ def test_a_sentence_begins_with_name_and_place(one: Finding, begin: str) -> None
 
 def test_a_sentence_says_recordings_and_whether_it_adds_to_others() -> None:
     one = finding("coulomb_friction", "joint1", where=Where(("a.csv", "b.csv")))
-    begin = "Coulomb friction at joint1 (only in a.csv and b.csv): size 1.635 ± 0.008 N m (± 95 %)."
+    begin = "Coulomb friction at joint1 (only in a.csv and b.csv): size 1.635 ± 0.008 N m (95 % intervals)."
     assert one.statement.startswith(begin)
     assert replace(one, adds_to_all=True).statement.startswith(f"{begin} It adds to the same effect in all recordings.")
 
 
 def test_a_sentence_says_the_coulomb_friction_of_all_laws_together() -> None:
     one = replace(finding("coulomb_friction", "joint1"), coulomb_in_motion=Quantity(0.3, 0.01, "N m"))
-    assert "All friction laws of joint1 together: Coulomb friction 0.300 ± 0.020 N m (± 95 %)." in one.statement
+    assert "All friction laws of joint1 together: Coulomb friction 0.300 ± 0.020 N m (95 % interval)." in one.statement
 
 
 def test_a_sentence_holds_the_first_few_of_many_quantities() -> None:
@@ -270,7 +270,7 @@ def test_a_sentence_names_properties_of_the_robot_alone() -> None:
     """Below which frequencies a recording shows a delay is a number of the recording."""
     quantities = {"delay": Quantity(0.006, 0.0005, "s"), "step": Quantity(0.006, 0.0, "s")}
     told = finding("time_delay", "joint1", parameters={**quantities, "bandwidth": Quantity(12.0, 3.0, "Hz")})
-    assert told.statement.startswith("Time delay of the torque at joint1: 0.0060 ± 0.0010 s (± 95 %).")
+    assert told.statement.startswith("Time delay of the torque at joint1: 0.0060 ± 0.0010 s (95 % intervals).")
     assert more_values(told) == 0
 
 
@@ -279,7 +279,7 @@ def test_a_sentence_does_not_say_a_kind_of_zero() -> None:
     for link, more in ((0.0, ""), (1.0, ", friction of the link")):
         quantities = {"stiffness": Quantity(200.0, 4.0, "N m/rad"), "link_friction": Quantity(link, 0.0, "1")}
         told = finding("joint_elasticity", "joint1", parameters=quantities).statement
-        assert told.startswith(f"Joint elasticity at joint1: stiffness 200 ± 8 N m/rad{more} (± 95 %).")
+        assert told.startswith(f"Joint elasticity at joint1: stiffness 200 ± 8 N m/rad{more} (95 % interval).")
 
 
 def test_a_sentence_says_where_no_parameter_differs_from_zero() -> None:
@@ -345,7 +345,7 @@ def test_a_sentence_says_what_it_is_worth_where_it_is_worth_most() -> None:
 )  # fmt: skip
 def test_a_sentence_says_why_cross_validation_does_not_confirm_it(probability: float, elpd: Elpd, words: str) -> None:
     plain = replace(finding("backlash", "joint1"), probability=probability, log_evidence_gain=12.0)
-    begin, mark, rest = plain.statement.partition("(± 95 %).")
+    begin, mark, rest = plain.statement.partition("(95 % intervals).")
     assert replace(plain, elpd=elpd).statement == f"{begin}{mark}{words}{rest}"
 
 

@@ -59,7 +59,7 @@ def _subject(finding: Finding) -> str:
     if any(q.value in (r.low, r.high) for q in quantities.values() for r in where.region or ()):
         where = Where(where.recordings, where.time_s)
     inside, sizes = when(where), values(finding)
-    interval = " (± 95 %)" if any(q.std > 0 for q in quantities.values()) else ""
+    interval = " (95 % intervals)" if any(q.std > 0 for q in quantities.values()) else ""
     words = guessed(finding) + (at(finding.joints, finding.links) or " on the whole robot")
     words += f" ({inside})" if inside else ""
     return capital(words) + (f": {', '.join(sizes)}{interval}." if sizes else ".")
@@ -85,7 +85,7 @@ def _in_motion(finding: Finding) -> str:
     q = finding.coulomb_in_motion
     if q is None:
         return ""
-    return f"All friction laws of {joined(finding.joints)} together: Coulomb friction {value(q)} (± 95 %)."
+    return f"All friction laws of {joined(finding.joints)} together: Coulomb friction {value(q)} (95 % interval)."
 
 
 def _not_confirmed(finding: Finding) -> str:
@@ -157,7 +157,7 @@ def deflection_statement(found: Deflection) -> str:
         words = f"No elasticity at {found.joint}: the encoder behind the gear shows a stiffness above {least} (95 %)."
     else:
         words = (
-            f"Joint elasticity at {found.joint}: stiffness {value(found.stiffness)} (± 95 %). "
+            f"Joint elasticity at {found.joint}: stiffness {value(found.stiffness)} (95 % interval). "
             "The difference between the encoders before and behind the gear follows the load."
         )
         before, after = number(found.nmse_before), number(found.nmse_after)
