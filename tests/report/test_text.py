@@ -279,7 +279,7 @@ def test_a_sentence_does_not_say_a_kind_of_zero() -> None:
     for link, more in ((0.0, ""), (1.0, ", friction of the link")):
         quantities = {"stiffness": Quantity(200.0, 4.0, "N m/rad"), "link_friction": Quantity(link, 0.0, "1")}
         told = finding("joint_elasticity", "joint1", parameters=quantities).statement
-        assert told.startswith(f"Joint elasticity at joint1: stiffness 200 ± 8 N m/rad{more} (95 % interval).")
+        assert told.startswith(f"Joint elasticity at joint1: stiffness 200 ± 8 N m/rad{more} (95 % intervals).")
 
 
 def test_a_sentence_says_where_no_parameter_differs_from_zero() -> None:
