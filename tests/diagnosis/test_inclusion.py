@@ -143,6 +143,13 @@ def test_probabilities_are_shares_of_all_that_may_be_there(rows: Rows, seed: int
         assert one.laws[0][0] is best
 
 
+def test_nothing_is_probable_where_physics_allows_nothing(rows: Rows) -> None:
+    spring, rotor = (hypothesis(rows, name, Site(0), -math.inf) for name in ("joint_spring", "rotor_inertia"))
+    one = inclusion(spring, [rotor], rows)
+    assert one.probability == one.class_probability == 0.0
+    assert [p for _, p in one.laws] == [0.0, 0.0]
+
+
 def test_equal_rivals_share(rows: Rows) -> None:
     spring = hypothesis(rows, "joint_spring", Site(0), 40.0)
     rotor = hypothesis(rows, "rotor_inertia", Site(0), 40.0)

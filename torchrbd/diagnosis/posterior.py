@@ -144,8 +144,13 @@ def inclusion(own: Hypothesis, rivals: Sequence[Hypothesis], rows: Rows) -> Incl
         probability=float(sure[every.index(own)]),
         family_probability=float(sum(p for h, p in zip(every, sure, strict=True) if _of_family(h, own))),
         class_probability=float(sure.sum()),
-        laws=tuple(zip(every, softmax(logs).tolist(), strict=True)),
+        laws=tuple(zip(every, _shares(logs).tolist(), strict=True)),
     )
+
+
+def _shares(logs: Sequence[float]) -> np.ndarray:
+    """Return the probability (K,) of each hypothesis given that one is true; zeros if physics allows none of them."""
+    return softmax(logs) if max(logs) > -math.inf else np.zeros(len(logs))
 
 
 def probabilities(log_odds: Sequence[float]) -> np.ndarray:
