@@ -92,10 +92,10 @@ def test_drives_of_one_robot_are_alike(rows: Rows) -> None:
     at = {name: [hypothesis(rows, name, Site(j), 7.0) for j in (0, 1)] for name in (law.id, "joint_spring")}
     every = [h for several in at.values() for h in several]
     first, spring = at[law.id][0], at["joint_spring"][0]
-    assert first.among(every).elsewhere == 1
-    assert first.among([first, *at["joint_spring"]]).elsewhere == 0
-    assert log_odds(first.among(every), rows) - log_odds(first, rows) == pytest.approx(steps[1] - steps[0])
-    assert log_odds(spring.among(every), rows) == log_odds(spring, rows)
+    assert first.count_elsewhere(every).elsewhere == 1
+    assert first.count_elsewhere([first, *at["joint_spring"]]).elsewhere == 0
+    assert log_odds(first.count_elsewhere(every), rows) - log_odds(first, rows) == pytest.approx(steps[1] - steps[0])
+    assert log_odds(spring.count_elsewhere(every), rows) == log_odds(spring, rows)
 
 
 @pytest.mark.parametrize("tried", [7, 40])

@@ -203,6 +203,20 @@ def test_refining_a_shape_leads_from_one_kind_to_another() -> None:
     assert (shape["centre"], shape["width"]) == pytest.approx((0.3, 0.6), abs=0.1)
 
 
+def test_a_search_knows_that_drives_are_alike() -> None:
+    """A rotor at the second joint is judged, and ranked, as one more where the first joint has one."""
+    fit = fitted(at_joint(0, lambda m: 0.3 * m.qdd[:, 0]))
+    rows = carried(fit)
+    search = Search(rows, [effect("rotor_inertia"), effect("joint_spring")], learn_discrepancy(fit, rows))
+    first, second = (hypothesis_of(fit, rows, candidate(rows, "rotor_inertia", Site(j))) for j in (0, 1))
+    assert first is not None
+    assert second is not None
+    assert [search.judge(chosen, [second])[0].elsewhere for chosen in ([], [first])] == [0, 1]
+    ranked = {h.name[0]: h.elsewhere for h in search.rank([first]) if h.candidate.place == 1}
+    assert ranked["rotor_inertia"] == 1
+    assert ranked["joint_spring"] == 0
+
+
 @pytest.mark.parametrize(("settles_s", "possible"), [(1.0, False), (5.0, True)])
 def test_a_shape_that_physics_does_not_allow_has_no_evidence(settles_s: float, possible: bool) -> None:
     """Between two values of the grid a search tries shapes beyond its end, too."""

@@ -158,7 +158,9 @@ class ModelEvidence:
             if scale != h.scale:
                 h = replace(h, scale=scale)
                 with_it = self._prune_curves(with_it.sized({new: scale * size}), first, place)
-            found.append(self._assess(h.among(chosen), fit, with_it, new, self._score(with_it, first) - score))
+            found.append(
+                self._assess(h.count_elsewhere(chosen), fit, with_it, new, self._score(with_it, first) - score)
+            )
         return found
 
     def _around(self, model: Additions, first: int, k: int, place: int | None) -> Additions:
@@ -177,7 +179,7 @@ class ModelEvidence:
             sizes = {first + i: e.std for i, e in enumerate(self._curves) if place in (None, e.place)}
             without = self._prune_curves(model.sized(sizes).without(k), first, place)
             gain = self._score(model, first) - self._score(without, first)
-            found.append(self._assess(h.among(chosen), fit, model, k, gain))
+            found.append(self._assess(h.count_elsewhere(chosen), fit, model, k, gain))
         return found
 
     def _assess(self, h: Hypothesis, fit: Likelihood, model: Additions, k: int, gain: float) -> Hypothesis:

@@ -61,8 +61,8 @@ class Hypothesis:
         """Effect and place, whatever its window."""
         return self.candidate.effect.id, replace(self.candidate.site, window=None)
 
-    def among(self, others: Iterable[Hypothesis]) -> Hypothesis:
-        """Return the hypothesis as one of a model that has others, too."""
+    def count_elsewhere(self, others: Iterable[Hypothesis]) -> Hypothesis:
+        """Return the hypothesis with the number of other joints at which a model of others has its effect."""
         effect, own = self.candidate.effect, self.candidate.site.joint
         joints = {h.candidate.site.joint for h in others if h.candidate.effect == effect} if effect.of_drives else set()
         return replace(self, elsewhere=len(joints - {own, None}))

@@ -160,7 +160,7 @@ class Search(ModelEvidence):
             look = screen_lasting if lasting or k else screen
             every = look(given, self.rows, self.effects, wanted)
             new = (h for h in every if h.name not in known and h.candidate not in present)
-            found = self.ordered(h.among(chosen) for h in new)
+            found = self.ordered(h.count_elsewhere(chosen) for h in new)
             short += [self.best_shape(given, h) for h in found[:near]]
             others = others or found[near:]
         judged = {_kind(h): h for h in reversed(self.judge(chosen, short)) if h.candidate not in present}

@@ -42,7 +42,7 @@ class JointSpring(JointEffect):
         return (stiffness, -stiffness * parameters["rest_position"]), {}
 
     def plausible(self, parameters: Mapping[str, float], scale: JointScale) -> bool:
-        low, high = scale.reach
+        low, high = scale.joint_range
         return parameters["stiffness"] >= 0 and low <= parameters["rest_position"] <= high
 
     def mjcf(self, parameters: Mapping[str, float]) -> Mjcf:

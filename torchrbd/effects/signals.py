@@ -110,7 +110,7 @@ class JointScale:
     upper: float = math.inf
 
     @property
-    def reach(self) -> tuple[float, float]:
+    def joint_range(self) -> tuple[float, float]:
         """The range of the joint [rad, m]: its limits; where these are unknown, three times what it has covered."""
         span = self.q_high - self.q_low
         lower = self.lower if math.isfinite(self.lower) else self.q_low - span
