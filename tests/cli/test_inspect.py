@@ -159,7 +159,7 @@ def test_coarse_steps_and_gaps(tmp_path, look):
 
 def test_torque_is_not_needed(tmp_path, look):
     write(tmp_path / "r.csv", {name: x for name, x in columns().items() if not name.startswith("tau")})
-    assert "not supported yet" in look(tmp_path / "r.csv", tmp_path / "arm.urdf")
+    assert "give their gains in a mapping" in look(tmp_path / "r.csv", tmp_path / "arm.urdf")
 
 
 @pytest.mark.parametrize("robot", [False, True])
@@ -221,7 +221,7 @@ def test_a_set_without_torque_and_with_other_names(tmp_path, look):
     path = data_set(tmp_path / "set", {"motors": names}, "observation.nothing")
     told = look(path, tmp_path / "arm.urdf", "-o", tmp_path / "map.yaml")
     assert "no column looks like a torque or a motor current" in told
-    assert "Positions and set-points without torque are not supported yet" in told
+    assert "if position drives follow recorded set-points, give their gains in a mapping" in told
     text = (tmp_path / "map.yaml").read_text()
     assert '"lift":\n    q: {column: "observation.state/motor_a.pos", unit: rad}  # guessed' in text
     assert '"turn":\n    q: {column: "observation.state/motor_b.pos", unit: rad}  # guessed' in text

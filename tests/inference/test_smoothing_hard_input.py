@@ -22,8 +22,7 @@ from torchrbd.inference.preparation import prepare
 from torchrbd.inference.settings import Settings
 from torchrbd.inference.smoothing.stretch import Stretch, stretches
 from torchrbd.parameters import is_physical
-from torchrbd.recordings import Filtering, Recording
-from torchrbd.recordings.recording import Chunk
+from torchrbd.recordings import Chunk, Filtering, Recording
 from torchrbd.robot import RobotModel
 
 pytestmark = pytest.mark.usefixtures("fit_alone")

@@ -69,6 +69,38 @@ def recorded(
     return Recording.from_arrays(name, names, moved.t, q, tau)
 
 
+def driven_columns(
+    urdf: str,
+    seed: int,
+    extra: Torque,
+    kp: np.ndarray,
+    kd: np.ndarray,
+    *,
+    delay_s: float = 0.0,
+    encoder_noise: float = 1e-5,
+    torque_noise: float = 0.005,
+    **motion_options: float,
+) -> dict[str, np.ndarray]:
+    """Return the columns t, q, qd and q_ref of a robot with position drives, which has no torque.
+
+    The set-points are those that make the motion, q_ref = q + (tau + kd qd) / kp, recorded ``delay_s`` before the
+    drives follow them. A disturbance torque is white, ``torque_noise`` of each joint's RMS.
+    """
+    names = joint_names(urdf)
+    moved = multisine(len(names), seed, **motion_options)
+    then = _later(len(names), seed, moved, -delay_s, motion_options) if delay_s else moved
+    rng = np.random.default_rng(seed + 10_000)
+    tau = inverse_dynamics(urdf, then) + extra(then)
+    tau = tau + torque_noise * np.sqrt(np.mean(tau**2, 0)) * rng.standard_normal(tau.shape)
+    signals = {
+        "q": moved.q + encoder_noise * rng.standard_normal(tau.shape),
+        "qd": moved.qd,
+        "q_ref": then.q + (tau + kd * then.qd) / kp,
+    }
+    columns = {f"{key}_{name}": x[:, k] for key, x in signals.items() for k, name in enumerate(names)}
+    return {"t": moved.t, **columns}
+
+
 def _later(n: int, seed: int, moved: Motion, delay_s: float, options: dict[str, float]) -> Motion:
     """Return the motion as it was ``delay_s`` ago: a whole number of steps of a finer clock."""
     rate, fine = options.get("rate_hz", 200.0), 10

@@ -65,9 +65,9 @@ def test_driver_examples(tmp_path, name, header, joints):
 
 
 def test_every_example_is_read():
-    assert len(list(CONFIGS.glob("mapping_*.yaml"))) == 4
+    assert len(list(CONFIGS.glob("mapping_*.yaml"))) == 6
     for path in CONFIGS.glob("mapping_*.yaml"):
-        assert read_mapping(path).joints
+        assert read_mapping(path).joints or read_mapping(path).drives
 
 
 def test_short_form_and_precedence(tmp_path):
@@ -102,11 +102,14 @@ def test_delay_of_torques(tmp_path):
         ("joints: {a: {q: {column: x, scale: big}}}", "joints.a.q.scale: expected a number, got 'big'"),
         ("joints: {a: {tau: {current: x}}}", "joints.a.tau: a current needs its torque_constant"),
         ("joints: {a: {q: {current: x}}}", "joints.a.q: unknown key 'current'"),
-        ("joints: {a: 3}", "joints.a: expected q or qd or qdd or tau or q_ref or q_link or temperature, got 3"),
+        (
+            "joints: {a: 3}",
+            "joints.a: expected q or qd or qdd or tau or q_ref or q_link or temperature or drive, got 3",
+        ),
         ("joints: [a]", r"joints: expected one key for each joint, got \['a'\]"),
         ("joints: {1: {}}", "the key 1 must be text"),
         ("time: {column: t, unit: h}", "time.unit: unknown unit 'h'; valid units are s, ms, us, ns"),
-        ("", "the file: expected time or joints or topic or episodes or torque_delay, got None"),
+        ("", "the file: expected time or joints or topic or episodes or torque_delay or set_point_delay, got None"),
         ("a: [", "is not YAML in UTF-8"),
         (
             "joints:\n  a:\n    q: {column: x}\n    tau: {column: y, unit: Nmm, ratio: 2}",

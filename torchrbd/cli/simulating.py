@@ -58,11 +58,14 @@ def _model(given: Path, gravity: Sequence[float] | None) -> RigidBodyDynamics:
 def _print(found: SimulatedMotion, model: RigidBodyDynamics, file: Path) -> None:
     out = Console(highlight=False)
     out.print(simulated_words(found.t[0], found.t[-1]), markup=False)
-    table = Table("joint", "distance")
+    tracking = found.tracking
+    table = Table("joint", "distance", *(["tracking error", "simulated"] if tracking else []))
     sliding = dict(zip(model.robot.joint_names, model.robot.prismatic.tolist(), strict=True))
     for joint, distance in found.distance.items():
-        words = f"{number(distance)} {'m' if sliding[joint] else 'rad'}" if distance == distance else "lost"
-        table.add_row(Text(joint), AS_RECORDED if joint in found.moved else words)
+        symbol = "m" if sliding[joint] else "rad"
+        more = (f"{number(x)} {symbol}" for x in tracking.get(joint, ()))
+        words = f"{number(distance)} {symbol}" if distance == distance else "lost"
+        table.add_row(Text(joint), AS_RECORDED if joint in found.moved else words, *more)
     out.print(table)
     for note in found.notes:
         out.print(f"note: {note}", markup=False)

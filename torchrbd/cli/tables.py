@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from torchrbd.report.text.console import (
     LACKING,
     PHYSICAL,
     check_words,
+    closed_loop_words,
     combinations_words,
     estimator_words,
     measure_words,
@@ -36,6 +38,7 @@ from torchrbd.report.text.names import guessed, more_values, place, values, when
 from torchrbd.report.text.numbers import number, probability, unit
 from torchrbd.report.text.numbers import percent as exact_percent
 from torchrbd.report.text.verdict import badge, headline, model_words, worth
+from torchrbd.simulation import ClosedLoop
 
 # A probability from which on the table of plain friction says none.
 SURE = 0.95
@@ -134,6 +137,7 @@ def _print_fits(result: Identification, out: Console, model: str = "URDF", remar
     for joint in result.fits["urdf"].nmse:
         errors.add_row(Text(joint), *(number(fit.nmse[joint]) for fit in result.fits.values()))
     errors.add_row("mean", *(number(fit.mean_nmse) for fit in result.fits.values()), style="bold")
+    loop = _closed_loop(result.closed_loop, words, prismatic)
     for joint, of in result.noise.items():
         q, tau = ("m", "N") if prismatic[joint] else ("rad", "N m")
         values = ((of.position, q), (of.from_position, tau), (of.torque, tau))
@@ -142,9 +146,24 @@ def _print_fits(result: Identification, out: Console, model: str = "URDF", remar
     if remark:
         out.print(remark, markup=False)
     out.print(noise)
+    if loop is not None and result.closed_loop is not None:
+        out.print(closed_loop_words(result.closed_loop), markup=False)
+        out.print(loop)
     if not result.regime.biases:
         out.print(result.regime.statement, markup=False)
     _print_notes(result.notes, out)
+
+
+def _closed_loop(loop: ClosedLoop | None, words: dict[str, str], prismatic: dict[str, bool]) -> Table | None:
+    """Return how far models with drives move from the recorded positions; None without drives."""
+    if loop is None:
+        return None
+    table = Table(_whole("joint"), *(_right(words[name]) for name in loop.errors), _right("tracking error"))
+    for joint in next(iter(loop.errors.values())):
+        values = [*(errors[joint] for errors in loop.errors.values()), loop.tracking.get(joint, math.nan)]
+        symbol = "mm" if prismatic[joint] else "mrad"
+        table.add_row(Text(joint), *("lost" if x == math.inf else f"{number(1e3 * x)} {symbol}" for x in values))
+    return table
 
 
 def _right(title: str) -> Column:

@@ -103,6 +103,17 @@ class Reading:
         return states if known is None else replace(states, tau=states.tau - states.as_recorded(known), known=known)
 
     @property
+    def driven(self) -> Tensor:
+        """Which joints have a drive, whose torque is computed from set-points, (n_dof,) bool."""
+        names = {joint for recording in self.recordings for joint in recording.drives.of}
+        return torch.tensor([joint in names for joint in self.robot.joint_names])
+
+    @property
+    def has_drives(self) -> bool:
+        """Whether any joint has a drive."""
+        return bool(self.driven.any())
+
+    @property
     def has_known(self) -> bool:
         """Whether a part of the torque is known: of a load, or of rotors and springs of the robot's description."""
         return bool(self.payload) or self._has_rotors

@@ -54,7 +54,8 @@ class Rows:
         recordings: names.
         rigid: per joint, its row of the regressor (M, p_j), of the bodies that it moves: see ``Columns.inertial``.
         tau: (n, M) measured torque, 0 where ``measured`` (n, M) is not.
-        q, qd: (n, M) band-limited.
+        q, qd, qdd: (n, M) band-limited.
+        driven: (n,) bool, joints whose torque is that of a drive.
         run: (M,) number of the uninterrupted run that a sample belongs to.
         recording: (M,) index into ``recordings``.
         t: (M,) seconds since that recording's start.
@@ -75,6 +76,8 @@ class Rows:
     measured: np.ndarray
     q: np.ndarray
     qd: np.ndarray
+    qdd: np.ndarray
+    driven: np.ndarray
     run: np.ndarray
     recording: np.ndarray
     t: np.ndarray
@@ -193,6 +196,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
             "measured": measured.expand_as(tau),
             "q": states.decimate(states.q),
             "qd": states.decimate(states.qd),
+            "qdd": states.decimate(states.qdd),
         }
         place = torch.tensor([k, states.segment, states.dt_out], dtype=torch.float64).expand(int(kept.sum()), 3)
         parts.append(
@@ -210,6 +214,7 @@ def read_rows(reading: Reading, columns: Columns, kept_back: KeptBack) -> Rows:
         tiles=tuple(tiles),
         rigid=tuple(map(np.concatenate, zip(*rigid, strict=True))),
         recordings=tuple(r.name for r in reading.recordings),
+        driven=reading.driven.numpy(),
         run=np.cumsum(begins),
         recording=recording.astype(int),
         t=t,

@@ -121,7 +121,7 @@ def diagnose(
     found, may = search.explanation, [e.id for e in settings.chosen_effects()]
     laws = [term.own.candidate for term in found.terms if term.own.candidate.effect.family == "friction"]
     asked = prepared
-    prepared = with_machine(prepared, settings, with_friction(settings), progress, search.clocks, laws)
+    prepared = with_machine(prepared, settings, with_friction(settings, sources), progress, search.clocks, laws)
     progress("fitting what was found", 0.0)
     model = fit_final_model(prepared, found, may, progress)
     if predicts_nothing(model.prepared, model.model) and predicts_nothing(

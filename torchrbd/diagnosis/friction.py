@@ -1,4 +1,4 @@
-"""Baseline friction and offset of every joint: how they differ from the URDF's, and how certain that is.
+"""Baseline friction and offset of every joint, rotor inertia of drives: how they differ from the URDF's.
 
 Coefficients are estimated in every model. Their evidence is the ratio of densities at the URDF's value, prior over
 posterior (Savage and Dickey). That Coulomb friction differs by direction has prior odds of one: every model has both
@@ -24,12 +24,14 @@ from torchrbd.diagnosis.decisions import DECISIONS
 from torchrbd.diagnosis.posterior import probability_of
 from torchrbd.effects import Effect, Site, effect
 from torchrbd.effects.base import LEVEL, SPEED
+from torchrbd.effects.registry import OF_DRIVES
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.robot import RobotModel
 
 VISCOUS, COULOMB, UNEVEN, OFFSET = map(
     effect, ("viscous_friction", "coulomb_friction", "asymmetric_coulomb_friction", "torque_offset")
 )
+ROTOR = effect(OF_DRIVES)
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ def ordinary_friction(
             found_as[COULOMB] = 1.0 - differ
         if OFFSET.id in may and UNEVEN not in found_as and j not in shifted:
             found_as[OFFSET] = 1.0
+        if ROTOR.id in may and fit.machine.rows.driven[j]:
+            found_as[ROTOR] = 1.0
         for e, law in found_as.items():
             candidate = columns.candidate(e, Site(j), {})
             found.append(weighed_given(Friction(candidate, -math.inf, 0.0, law), fit, columns.robot, laws))
@@ -101,6 +105,9 @@ def _evidence(fit: Likelihood, robot: RobotModel, c: Candidate, laws: Sequence[C
     own = slice(0, 1) if label == SPEED else slice(1, None)
     at, size = fit.machine.friction.at(joint)[own], fit.machine.friction.size(joint, fit.hyper)[own]
     urdf = robot.damping[joint] if label == SPEED else robot.friction[joint]
+    if c.effect is ROTOR:
+        # The robot's own rotors are known torque.
+        at, size, urdf = fit.machine.rotors.at(joint), np.array([fit.machine.rotors.size(joint)]), 0.0
     value = np.divide(float(urdf), size, out=np.zeros_like(size), where=size > 0)
     evidence = fit.gaussian.against(at, value)
     also = [(k, c.labels.index(label)) for k, c in enumerate(laws) if c.place == joint and label in c.labels]

@@ -226,6 +226,8 @@ def _of_all(clocks: Clocks, effects: Sequence[Effect]) -> list[Ranked]:
 
     A command runs ahead of what it makes, so that it is recorded early.
     """
+    if not clocks.delay_s:
+        return []
     late, std = np.array(list(clocks.delay_s.values())).T
     mean = float(np.average(late, weights=std**-2.0))
     found = ((e, e.of_clock_offset(mean)) for e in effects)

@@ -39,6 +39,7 @@ from torchrbd.effects.viscous_friction import ViscousFriction
 from torchrbd.errors import OptionError, closest
 
 PLAIN = ("viscous_friction", "coulomb_friction", "torque_offset")
+OF_DRIVES = "rotor_inertia"
 """Baseline friction, which is always fitted."""
 
 _EFFECTS: dict[str, Effect] = {}

@@ -245,6 +245,9 @@ def _head(result: Identification) -> dict[str, Any]:
         little is held out, they lie anywhere), windows (their number by joint), and errors by model
         (those of fit, and "constant_velocity") and joint: root mean square over a window, its median, low and high
         quartile over the windows, null where motions are lost, [rad] or [m] by unit. Empty where it is not known.
+    closed_loop: the same for drives that follow the recorded set-points, over whole motions: seconds, held_out, errors
+        by model and joint (root mean square distance from the recorded positions), tracking by joint (root mean square
+        of the recorded difference of set-point and position). Null without drives.
     """
     return {
         "schema": SCHEMA,
@@ -261,6 +264,7 @@ def _head(result: Identification) -> dict[str, Any]:
         "suspicions_tested": list(result.suspicions.tested),
         "notes": [*result.doubts, *result.notes],
         "simulation": [_motion(one, result.robot) for one in result.simulation],
+        "closed_loop": None if result.closed_loop is None else asdict(result.closed_loop),
     }
 
 

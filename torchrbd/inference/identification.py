@@ -22,7 +22,7 @@ from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
 from torchrbd.inference.torque_error import Fit
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.robot import RobotModel
-from torchrbd.simulation import MotionError
+from torchrbd.simulation import ClosedLoop, MotionError
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +52,9 @@ class Identification(Displayed):
         remarks: what looks wrong with input or result, but for ``suspicions`` and ``regime``.
         facts: what else the user should know of the input (gaps, duplicates, ignored columns, held links, ...).
         suspicions: what else the recordings may mean, and what was tested.
-        simulation: by length of the window, how far models move from the recorded motion; empty where unknown.
+        simulation: by length of the window, how far models move from the recorded motion; empty where unknown, and for
+            robots with drives.
+        closed_loop: how far models with drives move from it under the recorded set-points; None without drives.
         finished: whether the search came to its end; False if a time limit or the user ended it before.
     """
 
@@ -77,6 +79,7 @@ class Identification(Displayed):
     facts: tuple[Remark, ...] = field(default=())
     suspicions: Suspicions = NO_SUSPICIONS
     simulation: tuple[MotionError, ...] = field(default=())
+    closed_loop: ClosedLoop | None = None
     finished: bool = True
 
     @property

@@ -21,7 +21,7 @@ from torchrbd.inference.baseline import fit_baseline
 from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.identification import Identification
-from torchrbd.inference.ordinary import with_friction, with_machine
+from torchrbd.inference.ordinary import of_drives_only, with_friction, with_machine
 from torchrbd.inference.parameter_estimates import base_estimates, inertial_estimates, values_alone
 from torchrbd.inference.physical.fitting import FittedModel, judge, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
@@ -41,7 +41,7 @@ from torchrbd.options import Names, Payload, given
 from torchrbd.parameters import base_parameters
 from torchrbd.recordings import Filtering, NamedSource, Sources, listed_sources
 from torchrbd.robot import RobotModel
-from torchrbd.simulation import MotionErrors, motion_errors
+from torchrbd.simulation import ClosedLoop, MotionErrors, closed_loop, motion_errors
 
 
 @time_limited
@@ -123,12 +123,12 @@ def identify(
     robot, sources, settings = read_arguments(robot, recordings, given(locals()), "identify")
     if of_moments(sources, settings):
         return _by_moments(robot, sources, replace(settings, estimator=MOMENTS), progress)
-    fitted = with_friction(settings)
+    fitted = with_friction(settings, sources)
     prepared = prepare(robot, sources, settings, fitted, progress)
     progress("looking for wrong units and columns", 0.0)
     suspected = suspicions(prepared)
     prepared = with_machine(prepared, settings, fitted, progress)
-    terms = term_candidates(prepared.columns, [e.id for e in fitted])
+    terms = of_drives_only(prepared, settings, term_candidates(prepared.columns, [e.id for e in fitted]))
     check_seen(settings.requested_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)
     progress("fitting", 0.0)
@@ -225,6 +225,7 @@ def summarise(
         fits = {name: judge(prepared.judging, x) for name, x in coefficients.items()}
     regime = regime_of(prepared, settings.estimator)
     simulation = _simulation(prepared, modules, progress)
+    loop, loop_facts = _closed_loop(prepared, compared, progress)
     own, mounting = doubts_of(prepared, final, fits), fixed_base(prepared.robot)
     remarks = (
         *own,
@@ -256,9 +257,10 @@ def summarise(
         model=_judged(list(modules.values())[-1], series, prepared.filtering, list(fits.values())[-1]),
         posterior=Posterior(prepared.prior, final) if sure else None,
         remarks=remarks,
-        facts=(*(() if own else mounting), *prepared.facts, *simulation.notes),
+        facts=(*(() if own else mounting), *prepared.facts, *simulation.notes, *loop_facts),
         suspicions=suspected,
         simulation=simulation.errors,
+        closed_loop=loop,
     )
 
 
@@ -282,11 +284,23 @@ def _judged(model: RigidBodyDynamics, series: TorqueSeries, filtering: Filtering
 
 
 def _simulation(prepared: Prepared, modules: Mapping[str, RigidBodyDynamics], progress: Progress) -> MotionErrors:
-    """Roll the URDF and fitted models forward on the held-out blocks, where recordings are at hand."""
-    if not prepared.recordings:
+    """Roll the URDF and fitted models forward on the held-out blocks, where recordings are at hand.
+
+    A torque that was computed for the recorded positions holds no other ones: robots with drives have a closed loop.
+    """
+    if not prepared.recordings or prepared.reading.has_drives:
         return MotionErrors((), ())
     progress("simulating motion", 0.0)
     return motion_errors(prepared.reading, prepared.statistics.blocks, prepared.held_out.tolist(), modules, progress)
+
+
+def _closed_loop(
+    prepared: Prepared, modules: Mapping[str, RigidBodyDynamics], progress: Progress
+) -> tuple[ClosedLoop | None, tuple[Remark, ...]]:
+    """Let the drives of all models follow the set-points of the held-out blocks; None without drives."""
+    if not prepared.recordings or not prepared.reading.has_drives:
+        return None, ()
+    return closed_loop(prepared.reading, prepared.statistics.blocks, prepared.held_out.tolist(), modules, progress)
 
 
 def _noise(prepared: Prepared, model: FittedModel) -> dict[str, JointNoise]:

@@ -18,8 +18,9 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.reading import Progress
 from torchrbd.dataset.rows import not_held_out
 from torchrbd.effects import Effect, JointScale, effect
-from torchrbd.effects.registry import PLAIN
+from torchrbd.effects.registry import OF_DRIVES, PLAIN
 from torchrbd.errors import RecordingError
+from torchrbd.inference.data.opening import have_drives
 from torchrbd.inference.physical.fitting import fit_model, term_candidates
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
@@ -28,16 +29,28 @@ from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.model import OTHERS
+from torchrbd.recordings import NamedSource
 
 # Clocks that are apart by less than so many standard deviations are not.
 _SIGNIFICANT = 3.0
 
 
-def with_friction(settings: Settings) -> tuple[Effect, ...]:
-    """Return the effects to fit: those that the user names, baseline friction if that is left open."""
+def with_friction(settings: Settings, sources: Sequence[NamedSource] = ()) -> tuple[Effect, ...]:
+    """Return the effects to fit: those that the user names, baseline friction if that is left open.
+
+    Drives have gears, and so rotor inertia, too.
+    """
     if settings.effects is not None:
         return settings.chosen_effects() if settings.effects else ()
-    return tuple(effect(identifier) for identifier in PLAIN if identifier not in settings.exclude)
+    ordinary = (*PLAIN, *([OF_DRIVES] if have_drives(sources, settings) else []))
+    return tuple(effect(identifier) for identifier in ordinary if identifier not in settings.exclude)
+
+
+def of_drives_only(prepared: Prepared, settings: Settings, terms: Sequence[Candidate]) -> list[Candidate]:
+    """Return terms without the rotor inertia of joints that have no drive, unless the user asks for effects."""
+    driven = prepared.reading.driven
+    asked = settings.effects is not None
+    return [c for c in terms if asked or c.effect.id != OF_DRIVES or (c.joint is not None and bool(driven[c.joint]))]
 
 
 def with_machine(

@@ -48,7 +48,7 @@ class Additions:
     """
 
     def __init__(self, fit: Likelihood, extra: Sequence[Extra] = ()) -> None:
-        free, at = np.zeros_like(fit.hyper.resists), fit.machine.friction.index
+        free, at = np.zeros_like(fit.hyper.resists), fit.machine.positive
         self._machine, self.std, self._at = fit.extended(()).with_(resists=free), np.zeros(0), dict[int, np.ndarray]()
         self._S, self._r, self._white = np.zeros((0, 0)), np.zeros(0), tuple[White, ...]()
         self._V, self._taken = np.zeros((len(self._machine.gaussian.z), 0)), np.zeros((len(at), 0))
@@ -113,7 +113,7 @@ class Additions:
         return other
 
     def _append(self, extra: Sequence[Extra]) -> None:
-        gaussian, known, friction = self._machine.gaussian, len(self.std), self._machine.machine.friction.index
+        gaussian, known, friction = self._machine.gaussian, len(self.std), self._machine.machine.positive
         first = known + np.cumsum([0, *(e.n for e in extra)])
         new = [white for k, e in zip(first.tolist(), extra, strict=False) for white in self._whitened(k, e)]
         K = int(first[-1])
@@ -207,7 +207,7 @@ class Additions:
     def friction(self) -> np.ndarray:
         """Viscous and both Coulomb coefficients of the machine's joints given the components, (n, 3)."""
         z, machine = self._machine.gaussian.z.copy(), self._machine.machine
-        z[machine.friction.index] = self._friction - self._taken @ (self.z * self.std)
+        z[machine.positive] = self._friction - self._taken @ (self.z * self.std)
         return machine.friction.of(z, self._machine.hyper)
 
     @property

@@ -57,7 +57,12 @@ class Clocks:
 
     @cached_property
     def delay_s(self) -> dict[str, tuple[float, float]]:
-        """By recording, the delay of the torque relative to the motion, and its standard deviation [s]."""
+        """By recording, the delay of the torque relative to the motion, and its standard deviation [s].
+
+        Empty for drives.
+        """
+        if self.fit.machine.rows.driven.any():
+            return {}
         machine, size = self.fit.machine, self.fit.machine.clocks.std
         estimates = [self._estimates.estimate([k]) for k in machine.clocks.index]
         return {

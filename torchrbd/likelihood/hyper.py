@@ -23,7 +23,7 @@ class Hyper:
         noise: of each joint.
         dispersion: (n,) scatter of blocks divided by that of white rows.
         bodies: (P,) coordinates of the inertial parameters around which their prior is expanded, for a kappa of one.
-        resists: (3, n, 3) sites that keep baseline friction non-negative, see ``nonnegative``.
+        resists: (3, K) sites that keep ``Machine.positive`` non-negative, see ``nonnegative``.
         pi: (n_params,) inertial parameters for the load.
         friction: (n, 3) in addition to the load, see ``Signals``.
         white: whether rows count as independent, as in least squares.

@@ -37,7 +37,7 @@ def learn(machine: Machine) -> Likelihood:
         noise=tuple(Noise(i, np.zeros(0), _FIRST_NOISE * r, one) for i, r in zip(machine.index, rms, strict=True)),
         dispersion=np.ones(rows.n_dof),
         bodies=np.zeros(len(machine.bodies.index)),
-        resists=np.zeros((3, rows.n_dof, 3)),
+        resists=np.zeros((3, len(machine.positive))),
         pi=rows.columns.robot.pi,
         friction=torch.zeros(rows.n_dof, 3, dtype=torch.float64),
         white=True,

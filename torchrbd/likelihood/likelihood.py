@@ -65,7 +65,7 @@ class Likelihood:
         whitened = [self._block(j, *one) for j, one in enumerate(zip(designs or none, blocks or none, strict=True))]
         root = np.sqrt(hyper.kappa)
         sites = np.zeros((3, int(self._first[-1])))
-        sites[:, machine.friction.index] = hyper.resists.reshape(3, -1)
+        sites[:, machine.positive] = hyper.resists
         self._bodies = expanded(root * hyper.bodies, hyper.kappa)
         self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, self._local)
         self._residuals = dict[int, np.ndarray]()
@@ -334,11 +334,10 @@ class Likelihood:
         return self.with_(bodies=z / np.sqrt(self.hyper.kappa))
 
     def _resisting(self) -> Likelihood:
-        """Return the same model with the prior of baseline friction truncated where it would be negative."""
-        at = self.machine.friction.index
+        """Return the same model with the prior of friction, and of rotors, truncated where it would be negative."""
+        at = self.machine.positive
         free = self.with_(resists=np.zeros_like(self.hyper.resists)).gaussian
-        sites = nonnegative(free.z[at], free.covariance(at))
-        return self.with_(resists=np.reshape(sites, self.hyper.resists.shape))
+        return self.with_(resists=np.asarray(nonnegative(free.z[at], free.covariance(at))))
 
     def plausible(self) -> Likelihood:
         """Return the same model with physical bodies and non-negative friction."""

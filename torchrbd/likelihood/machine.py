@@ -29,6 +29,7 @@ from torchrbd.nuisance.joint_friction import JointFriction
 from torchrbd.nuisance.rest_holding import RestHolding
 from torchrbd.nuisance.rests import Rests
 from torchrbd.nuisance.rigid_body import RigidBody
+from torchrbd.nuisance.rotor import Rotor
 from torchrbd.nuisance.row_noise import RowNoise
 from torchrbd.nuisance.state_bandwidth import StateBandwidth
 from torchrbd.nuisance.sticking import Sticking
@@ -60,6 +61,7 @@ class Machine:
         self.bodies = RigidBody(rows, *inertial_scale(rows.columns.robot, held))
         self.friction = JointFriction(rows, self.directions, self.torque_rms)
         self.transition, self.sticking = FrictionTransition(rows, self.directions), Sticking(self.directions)
+        self.rotors = Rotor(rows, self.torque_rms)
         self.drift, self.clocks, self.rests = Drift(rows), ClockOffset(rows), RestHolding(rows, rests)
         self.target = self.bodies.target
         self._others = (Breakaway(rows, rests, self.clocks.std), TorqueQuantisation(rows), StateBandwidth(rows))
@@ -72,7 +74,7 @@ class Machine:
     def components(self) -> tuple[Component, ...]:
         """All of them, in the order of their coefficients."""
         friction = self.friction, self.transition, self.sticking
-        return self.bodies, *friction, *self._others, self.drift, self.clocks, self.rests
+        return self.bodies, *friction, self.rotors, *self._others, self.drift, self.clocks, self.rests
 
     def felt_through(self, C: Sequence[np.ndarray], pi: np.ndarray) -> Machine:
         """Return the same machine with bodies that also act through an effect, see ``RigidBody.felt_through``."""
@@ -80,6 +82,11 @@ class Machine:
         other.bodies = self.bodies.felt_through(C, pi)
         other.target = other.bodies.target
         return other
+
+    @property
+    def positive(self) -> np.ndarray:
+        """Indices of the coefficients that physics keeps non-negative: friction, and the rotors of drives."""
+        return np.concatenate((self.friction.index, self.rotors.index))
 
     @property
     def local(self) -> list[np.ndarray]:

@@ -50,9 +50,9 @@ class TwoEstimates:
     """
 
     def __init__(self, fit: Likelihood) -> None:
-        g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.friction.index
+        g, rows, at = fit.gaussian, fit.machine.rows, fit.machine.positive
         sites = np.zeros((2, len(g.z)))
-        sites[:, at] = fit.hyper.resists[:2].reshape(2, -1)
+        sites[:, at] = fit.hyper.resists[:2]
         H, h = g.H - np.diag(sites[0]), g.h - sites[1]
         self._P, shift = H.copy(), h.copy()
         data, score = np.zeros_like(H), np.zeros_like(h)

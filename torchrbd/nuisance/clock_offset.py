@@ -1,6 +1,9 @@
 """Offset of the clocks of torque and motion: t0 d(tau_s)/dt + t1 F d(tau_load)/dt, one of each per recording.
 
 F is the high-frequency part, less informative because of its noise.
+
+Torques of drives are computed from set-point and position of one instant: they have no offset. Their delay is that of
+the set-points alone, which the mapping states. An offset would absorb rotor inertia and viscous friction.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ class ClockOffset(Component):
 
     def __init__(self, rows: Rows) -> None:
         self._inside = np.array([rows.recording == k for k in np.unique(rows.recording)])
-        self._noise_share, self.std = rows.noise_share, _STD_SAMPLES * rows.dt
+        self._noise_share, self.std, self._driven = rows.noise_share, _STD_SAMPLES * rows.dt, bool(rows.driven.any())
         self.n = 2 * len(self._inside)
 
     @property
@@ -50,7 +53,7 @@ class ClockOffset(Component):
         return {"rate": lambda signals: signals.rate(signals.supplied), "fast rate of load": fast_rate_of_load}
 
     def columns(self, joint: int, learnt: Learnt, along: Along | None) -> tuple[np.ndarray, np.ndarray]:
-        if along is None:
+        if along is None or self._driven:
             return nothing(self._inside.shape[1])
         fast = self.std * self._noise_share[joint] * along["fast rate of load"][joint]
         return np.concatenate((self.std * along["rate"][joint] * self._inside, fast * self._inside)), self.at(joint)

@@ -1,5 +1,6 @@
 """Recordings of the real robot: files or data in memory in, tiles of filtered states out."""
 
+from torchrbd.recordings.chunk import Chunk
 from torchrbd.recordings.clock import uniform_blocks
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.formats.table import Format, Table
@@ -8,7 +9,7 @@ from torchrbd.recordings.low_pass import LowPass
 from torchrbd.recordings.mapping import Mapping
 from torchrbd.recordings.mapping_file import read_mapping
 from torchrbd.recordings.memory import Data, InMemory
-from torchrbd.recordings.recording import Chunk, Recording, open_recording
+from torchrbd.recordings.recording import Recording, open_recording
 from torchrbd.recordings.sources import NamedSource, RecordingSource, Sources, listed_sources
 from torchrbd.recordings.states import TILE_ROWS, States, skipped_segments, tiles
 from torchrbd.recordings.survey import Survey, choose_cutoff, survey

@@ -18,7 +18,7 @@ class Block:
         segment: index of the segment.
         t: (K,) [s].
         x: (C, K) channels: q, tau, then qd if the recording has it.
-        q_ref: (n, K) set-points, or None.
+        q_ref: (r, K) set-points of the joints whose set-point is used, or None.
         q_link: (l, K) positions behind the gear of the joints that have them, or None.
         temperature: (m, K) of the joints that have one, or None.
     """

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchrbd.recordings.recording import Chunk, Recording
+from torchrbd.recordings.chunk import Chunk
+from torchrbd.recordings.recording import Recording
 
 SIGNALS = ("q", "qd", "tau")
 # Third differences of white noise have 20 times its variance.
@@ -52,9 +53,7 @@ def channels_of(recording: Recording, resolution: dict[str, np.ndarray]) -> tupl
         recording: the recording.
         resolution: (n,) quantisation steps of q and tau, by signal; NaN if none was found.
     """
-    present = [
-        s for s in SIGNALS if recording.source(s, recording.joints[0]) or (s == "tau" and recording.measured.any())
-    ]
+    present = [s for s in SIGNALS if any(recording.source(s, joint) for joint in recording.joints)]
     scans = {signal: _Scan(len(recording.joints)) for signal in present}
     for chunk in recording.chunks():
         for signal, scan in scans.items():

@@ -9,8 +9,9 @@ import numpy as np
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.blocks import Block, split
+from torchrbd.recordings.chunk import Chunk
 from torchrbd.recordings.encoder_steps import between_steps
-from torchrbd.recordings.recording import Chunk, Recording
+from torchrbd.recordings.recording import Recording
 
 _GAP = 5.0
 _DUPLICATE = 0.1
@@ -115,7 +116,7 @@ def clean_blocks(recording: Recording, clock: Clock, census: Census | None = Non
     n = len(recording.joints)
     census = census if census is not None else Census(n)
     width = n * (2 + recording.has_velocity)
-    with_reference = width + n * recording.has_reference
+    with_reference = width + int(recording.referenced.sum())
     ends = width, with_reference, with_reference + int(recording.linked.sum())
     angles = np.r_[:n, ends[0] : ends[2]]
     warmth = np.full((int(recording.thermal.sum()), 1), np.nan)
@@ -241,7 +242,9 @@ def _cubic_weights(nodes: np.ndarray, t: np.ndarray) -> np.ndarray:
 def _channels(chunk: Chunk, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     link = None if chunk.q_link is None else chunk.q_link[:, recording.linked]
     warmth = None if chunk.temperature is None else chunk.temperature[:, recording.thermal]
-    signals = (chunk.q, chunk.tau, chunk.qd, chunk.q_ref, link, warmth)
+    qd = chunk.qd if recording.has_velocity else None
+    q_ref = None if chunk.q_ref is None else chunk.q_ref[:, recording.referenced]
+    signals = (chunk.q, chunk.tau, qd, q_ref, link, warmth)
     return chunk.t, np.concatenate([s for s in signals if s is not None], axis=1).T.copy()
 
 

@@ -19,8 +19,8 @@ def with_layout(columns: Sequence[str], mapping: Mapping, place: str) -> Mapping
 
     PlotJuggler: ``__time`` and ``<topic>/<joint>/position``, ``.../velocity``, ``.../effort``. LeRobot: positions are
     ``observation.state/<joint>`` or ``observation.state/<joint>.pos``; velocities and efforts are in
-    ``observation.velocity`` and ``observation.effort``, or have the endings .vel and .effort. Entries of the given
-    mapping take precedence.
+    ``observation.velocity`` and ``observation.effort``, or have the endings .vel and .effort. Set-points are
+    ``action/<joint>`` or ``action/<joint>.pos``. Entries of the given mapping take precedence.
 
     Args:
         columns: of the table.
@@ -61,6 +61,11 @@ def _of_lerobot(columns: Sequence[str]) -> dict[str, str]:
     found = {"q": f"{_LEROBOT}{{joint}}{ending}"}
     for signal, feature, own in (("qd", "observation.velocity", ".vel"), ("tau", "observation.effort", ".effort")):
         patterns = [f"{_LEROBOT}{{joint}}{own}", *(f"{feature}/{{joint}}{end}" for end in ("", own, ending))]
-        there = [p for p in patterns if any(p.replace("{joint}", joint) in columns for joint in joints)]
+        there = [p for p in patterns if _any(p, joints, columns)]
         found |= {signal: there[0]} if there else {}
-    return found
+    actions = [p for p in (f"action/{{joint}}{end}" for end in (ending, "")) if _any(p, joints, columns)]
+    return found | ({"q_ref": actions[0]} if actions else {})
+
+
+def _any(pattern: str, joints: Sequence[str], columns: Sequence[str]) -> bool:
+    return any(pattern.replace("{joint}", joint) in columns for joint in joints)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from torchrbd.errors import RecordingError, closest
+from torchrbd.recordings.drives import Drive
 
 SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
 _EVERY_JOINT = "*"
@@ -49,6 +50,8 @@ class Mapping:
         topic: the topic of a ROS bag or of a PlotJuggler export; None for the only one with joint states.
         episodes: those of a LeRobot data set, numbered from 0; None for all.
         torque_delay_s: delay of written torques relative to the positions that they belong to [s].
+        set_point_delay_s: time after which drives follow a recorded set-point [s].
+        drives: joint name, or "*" for every joint, to the drive that follows its set-point; torques are computed there.
     """
 
     file: str = ""
@@ -57,6 +60,14 @@ class Mapping:
     topic: str | None = None
     episodes: tuple[int, ...] | None = None
     torque_delay_s: float = 0.0
+    set_point_delay_s: float = 0.0
+    drives: dict[str, Drive] = field(default_factory=dict)
+
+    def drive(self, joint: str) -> Drive | None:
+        """Return the drive of a joint; None if its torque is recorded."""
+        if joint in self.drives or "tau" in self.joints.get(joint, {}):
+            return self.drives.get(joint)
+        return self.drives.get(_EVERY_JOINT)
 
     def source(self, joint: str, index: int, signal: str) -> Source:
         """Return the source of a joint's signal; `{joint}` and `{index}` in a column's name are filled in."""
@@ -73,7 +84,7 @@ class Mapping:
 
     def check_joints(self, joints: Sequence[str]) -> None:
         """Raise RecordingError if the mapping names a joint that the robot does not have."""
-        for name in self.joints:
+        for name in (*self.joints, *self.drives):
             if name != _EVERY_JOINT and name not in joints:
                 raise RecordingError(
                     f"{self.file}: joints: the robot has no joint '{name}'{meant(name, joints)}; "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.checked_yaml import Keys, Number, check_key, checked, read_yaml, wrong
+from torchrbd.recordings.drives import Drive
 from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
 
 _LONGEST_DELAY_S = 1.0
@@ -34,6 +36,18 @@ def _unit(units: dict[str, float]) -> Any:
 def _not_zero(value: float) -> float:
     if value == 0:
         raise wrong("zero would erase the signal; leave it out, or give another number")
+    return value
+
+
+def _positive(value: float) -> float:
+    if value <= 0:
+        raise wrong(f"expected a number above 0, got {value:g}")
+    return value
+
+
+def _not_negative(value: float) -> float:
+    if value < 0:
+        raise wrong(f"expected 0 or more, got {value:g}")
     return value
 
 
@@ -155,6 +169,17 @@ def _one_of(kind: str, words: str) -> Any:
     return Annotated[forms, Discriminator(lambda value: "by name" if isinstance(value, str) else "by column")]
 
 
+class DriveKeys(Keys):
+    """A position drive, whose torque is computed: tau = kp (q_ref - q) - kd qd, clipped to the limit."""
+
+    missing: ClassVar[dict[str, str]] = {"kp": "a drive needs its stiffness kp [N m/rad]"}
+    kp: Annotated[Number, AfterValidator(_positive)] = Field(description="stiffness [N m/rad, N/m]")
+    kd: Annotated[Number, AfterValidator(_not_negative)] = Field(0.0, description="damping [N m s/rad, N s/m]")
+    limit: Annotated[Number, AfterValidator(_positive)] | None = Field(
+        None, description="greatest torque or force of either sign [N m, N]; none by default"
+    )
+
+
 class Joint(Keys):
     """The signals of one joint; a signal without an entry is read from the column <signal>_<joint>."""
 
@@ -171,6 +196,15 @@ class Joint(Keys):
     temperature: _one_of("temperature", "a temperature") | None = Field(  # type: ignore[valid-type]
         None, description="temperature of the joint"
     )
+    drive: DriveKeys | None = Field(
+        None, description="position drive that follows q_ref, in place of tau: its torque is computed"
+    )
+
+    @model_validator(mode="after")
+    def _one_torque(self) -> Joint:
+        if self.drive is not None and self.tau is not None:
+            raise wrong("give 'tau' or 'drive', not both: a drive's torque is computed from its set-point")
+        return self
 
 
 class MappingFile(Keys):
@@ -193,9 +227,15 @@ class MappingFile(Keys):
         0.0,
         description="delay of torques relative to the positions that they belong to [s]; below 0: early",
     )
+    set_point_delay: Annotated[Number, AfterValidator(_delay)] = Field(
+        0.0,
+        description="time after which drives follow a set-point that was recorded [s]; below 0: it was recorded late",
+    )
 
 
-KEYS = frozenset(key for model in (MappingFile, Time, Signal, Current, Joint) for key in (*model.model_fields, "unit"))
+KEYS = frozenset(
+    key for model in (MappingFile, Time, Signal, Current, DriveKeys, Joint) for key in (*model.model_fields, "unit")
+)
 """Every key that a mapping can have."""
 
 
@@ -211,9 +251,11 @@ def read_mapping(path: str | Path) -> Mapping:
     A torque may come from a current: `{current, torque_constant, unit, gear_ratio, sign, offset}`, `tau = current *
     torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
 
+    `drive: {kp, kd, limit}` in place of `tau` is a position drive that follows `q_ref`. Its torque is computed.
+
     `topic` chooses a topic of a ROS bag or PlotJuggler export, `episodes: [0, 3]` those of a LeRobot data set.
     `torque_delay: 0.004` is the delay [s] of written torques relative to the positions that they belong to; it is
-    negative if torques are early.
+    negative if torques are early. `set_point_delay: 0.004` is the time after which drives follow a set-point.
 
     Raises:
         RecordingError: names the file, the line, the key and the closest valid one.
@@ -226,7 +268,14 @@ def read_mapping(path: str | Path) -> Mapping:
         for name, one in found.joints.items()
     }
     time = Source(found.time) if isinstance(found.time, str) else Source(found.time.column, TIME_UNITS[found.time.unit])
-    return Mapping(str(path), time, joints, found.topic, found.episodes, found.torque_delay)
+    drives = {name: _drive(one.drive) for name, one in found.joints.items() if one.drive is not None}
+    return Mapping(
+        str(path), time, joints, found.topic, found.episodes, found.torque_delay, found.set_point_delay, drives
+    )
+
+
+def _drive(keys: DriveKeys) -> Drive:
+    return Drive(keys.kp, keys.kd, math.inf if keys.limit is None else keys.limit)
 
 
 def _source(entry: Any, signal: str) -> Source:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+from torchrbd.recordings.drives import Drive
 from torchrbd.recordings.guessing import guess, unit_in_name
 from torchrbd.recordings.inspection import Inspection
 from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
@@ -27,6 +28,7 @@ _KEYS = f"""\
 #   topic         of a ROS bag or a PlotJuggler export with several
 #   episodes      of a LeRobot data set, e.g. [0, 3]
 #   torque_delay  seconds by which torques are written later than positions
+#   set_point_delay  seconds after which drives follow a recorded set-point
 # Signals of a joint, each NAME or {{column: NAME, ...}}; {{joint}} and {{index}} (from 0) in a name are filled in
 #   q             position: {", ".join(UNITS["q"])}
 #   qd            velocity, optional: {", ".join(UNITS["qd"])}
@@ -35,6 +37,11 @@ _KEYS = f"""\
 #   q_ref         set-point, optional; units of q
 #   q_link        encoder behind the gear, optional; units of q
 #   temperature   optional: {", ".join(UNITS["temperature"])}
+#   drive         in place of tau: a position drive that follows q_ref; its torque is kp (q_ref - q) - kd qd
+# Keys of a drive, such as {{kp: 20, kd: 0.5, limit: 23}}
+#   kp            stiffness [N m/rad, N/m]
+#   kd            damping [N m s/rad, N s/m]; 0 by default
+#   limit         greatest torque of either sign [N m, N]; none by default
 # Keys of a signal
 #   column        name of the column
 #   unit          one of those above; the first is the default
@@ -70,6 +77,8 @@ def mapping_text(found: Inspection, mapping: Mapping, sliding: tuple[str, ...] =
         lines.append(f"episodes: {list(mapping.episodes)}")
     if mapping.torque_delay_s:
         lines.append(f"torque_delay: {mapping.torque_delay_s!r}")
+    if mapping.set_point_delay_s:
+        lines.append(f"set_point_delay: {mapping.set_point_delay_s!r}")
     lines += _found(found, sliding) if found.recording is not None else _guessed(found)
     return "\n".join(lines) + "\n"
 
@@ -87,6 +96,8 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
     _, guesses = guess(found.columns, found.joints)
     for joint in recording.joints:
         lines.append(f"  {json.dumps(joint)}:")
+        if joint in recording.drives.of:
+            lines.append(f"    drive: {_drive(recording.drives.of[joint])}")
         for signal in SIGNALS:
             source = recording.source(signal, joint)
             if source is not None:
@@ -94,7 +105,7 @@ def _found(found: Inspection, sliding: tuple[str, ...]) -> list[str]:
                 unit = symbol if source.is_current else found.units.get(source.column, symbol)
                 guess_words = _suspected(unit, symbol) if unit != symbol else ""
                 lines.append(f"    {signal}: {_entry(source, unit)}{guess_words}")
-            elif signal == "tau":
+            elif signal == "tau" and joint not in recording.drives.of:
                 lines += _guessed_torque(guesses.get(joint, {}))
     return lines
 
@@ -118,6 +129,12 @@ def _entry(source: Source, unit: str) -> str:
     keys += [f"scale: {source.scale!r}"] * (source.scale != 1.0) + [f"offset: {source.offset!r}"] * (
         source.offset != 0.0
     )
+    return f"{{{', '.join(keys)}}}"
+
+
+def _drive(drive: Drive) -> str:
+    keys = [f"kp: {drive.kp!r}", f"kd: {drive.kd!r}"]
+    keys += [f"limit: {drive.limit!r}"] * math.isfinite(drive.limit)
     return f"{{{', '.join(keys)}}}"
 
 

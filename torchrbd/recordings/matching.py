@@ -11,13 +11,14 @@ import numpy as np
 
 from torchrbd.display import Remark
 from torchrbd.errors import RecordingError
+from torchrbd.recordings.drives import Drive
 from torchrbd.recordings.guessing import torque_like
 from torchrbd.recordings.mapping import Mapping, Source, meant
 
-OPTIONAL_SIGNALS = ("qd", "qdd", "q_ref")
-"""Signals that all joints have, or none."""
-PARTIAL_SIGNALS = ("q_link", "temperature")
+PARTIAL_SIGNALS = ("tau", "qd", "qdd", "q_ref", "q_link", "temperature")
 """Signals that some joints may have and others not."""
+# Those that are used only if all joints have them, and of these, those that drives use joint by joint.
+_OF_ALL_JOINTS, _OF_DRIVES = ("qd", "qdd", "q_ref"), ("qd", "q_ref")
 # Prefixes of columns that get no note if they are not used.
 _OPTIONAL_CHANNELS = ("q_link_", "temperature_", "current_", "wrench_")
 
@@ -29,11 +30,13 @@ class Match:
     Attributes:
         sources: by signal, "t" and those that exist, one for each joint that has it.
         there: by signal that some joints may lack, (n,) bool.
+        drives: by joint, whose torque is computed from its set-point.
         notes: what is not used.
     """
 
     sources: dict[str, tuple[Source, ...]]
     there: dict[str, np.ndarray]
+    drives: dict[str, Drive]
     notes: tuple[Remark, ...]
 
 
@@ -50,43 +53,50 @@ def match(columns: Sequence[str], joints: Sequence[str], mapping: Mapping, place
     Raises:
         RecordingError: columns are missing; names those present, and the closest matches.
     """
-    wanted = {
-        key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)]
-        for key in ("q", "tau", *OPTIONAL_SIGNALS, *PARTIAL_SIGNALS)
-    }
+    keys = ("q", *PARTIAL_SIGNALS)
+    wanted = {key: [mapping.source(joint, index, key) for index, joint in enumerate(joints)] for key in keys}
     present = set(columns)
-    required = [mapping.time, *wanted["q"], *mapping.named(joints)]
+    drives = {joint: drive for joint in joints if (drive := mapping.drive(joint)) is not None}
+    driven = np.array([joint in drives for joint in joints])
+    required = [mapping.time, *wanted["q"], *mapping.named(joints), *compress(wanted["q_ref"], driven)]
     missing = list(dict.fromkeys(source.column for source in required if source.column not in present))
     if missing:
         known = {source.column for sources in wanted.values() for source in sources}
         others = [column for column in columns if column not in known]
         raise RecordingError(
-            f"{place}: missing columns: {', '.join(missing)}{meant(missing[0], others)}; "
+            f"{place}: missing columns: {', '.join(missing)}{_of_drives(missing, wanted['q_ref'], drives)}"
+            f"{meant(missing[0], others)}; "
             f"present: {', '.join(columns)}; if they have other names, give a mapping: "
             f"'torchrbd inspect RECORDING ROBOT -o mapping.yaml' writes one to edit"
-            f"{no_torque(columns) if torque else ''}"
+            f"{no_torque(columns) if torque and not drives else ''}"
         )
-    there = {key: np.array([s.column in present for s in wanted[key]]) for key in ("tau", *PARTIAL_SIGNALS)}
-    if torque and not there["tau"].any():
+    there = {key: np.array([s.column in present for s in wanted[key]]) for key in PARTIAL_SIGNALS}
+    there["tau"] &= ~driven
+    if torque and not (there["tau"] | driven).any():
         raise torqueless(place, columns, [source.column for source in wanted["tau"]])
     notes = _unit_currents(joints, wanted["tau"], there["tau"])
+    without = list(compress(joints, ~there["tau"] & ~driven))
+    notes += [Remark("no torque", {"joints": without})] if without else []
+    for key in _OF_ALL_JOINTS:
+        if there[key].all():
+            continue
+        used = there[key] & driven & (key in _OF_DRIVES)
+        notes += [Remark("signal of some joints", {"signal": key})] if there[key].any() and not used.any() else []
+        there[key] = used
     sources = {"t": (mapping.time,), "q": tuple(wanted["q"])}
-    for key, some in there.items():
-        if some.any():
-            sources[key] = tuple(compress(wanted[key], some))
-    if not there["tau"].all():
-        notes.append(Remark("no torque", {"joints": list(compress(joints, ~there["tau"]))}))
-    for key in OPTIONAL_SIGNALS:
-        found = [source.column in present for source in wanted[key]]
-        if all(found):
-            sources[key] = tuple(wanted[key])
-        elif any(found):
-            notes.append(Remark("signal of some joints", {"signal": key}))
+    sources |= {key: tuple(compress(wanted[key], some)) for key, some in there.items() if some.any()}
     known = {source.column for group in wanted.values() for source in group} | {mapping.time.column}
+    known -= {source.column for source in compress(wanted["tau"], driven)}
     ignored = [c for c in columns if c not in known and not c.startswith(_OPTIONAL_CHANNELS)]
     if ignored:
         notes.append(Remark("unused columns", {"columns": ignored}))
-    return Match(sources, there, tuple(notes))
+    return Match(sources, there, drives, tuple(notes))
+
+
+def _of_drives(missing: Sequence[str], set_points: Sequence[Source], drives: dict[str, Drive]) -> str:
+    """Say that a missing column is the set-point of a drive; nothing otherwise."""
+    lacking = any(source.column in missing for source in set_points)
+    return ", the set-points that drives follow" if drives and lacking else ""
 
 
 def torqueless(place: str | Path, columns: Sequence[str], expected: Sequence[str] = ()) -> RecordingError:
@@ -106,8 +116,8 @@ def no_torque(columns: Sequence[str]) -> str:
     if torque_like(columns):
         return ""
     return (
-        "; no column looks like a torque or a motor current, and torchrbd needs one: record it with the positions. "
-        "Positions and set-points without torque are not supported yet"
+        "; no column looks like a torque or a motor current. Record one with the positions, or, if position drives "
+        "follow recorded set-points, give their gains in a mapping: joints: {'*': {drive: {kp: 20, kd: 0.5}}}"
     )
 
 

@@ -11,40 +11,17 @@ import numpy as np
 
 from torchrbd.display import Remark, brief, few
 from torchrbd.errors import RecordingError
+from torchrbd.recordings.chunk import Chunk
+from torchrbd.recordings.drives import Drives
 from torchrbd.recordings.formats.opening import open_table
 from torchrbd.recordings.formats.table import ArrayTable, Table
 from torchrbd.recordings.layouts import with_layout
 from torchrbd.recordings.mapping import Mapping, Source
-from torchrbd.recordings.matching import OPTIONAL_SIGNALS, PARTIAL_SIGNALS, match
+from torchrbd.recordings.matching import PARTIAL_SIGNALS, match
 from torchrbd.recordings.memory import Data, memory_table
 
 # Larger values could overflow in squares of sums; times in ns since 1970 are far below.
 _LARGEST = 1e20
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Consecutive rows of a recording.
-
-    Attributes:
-        t: (N,) seconds since the recording's first row.
-        q: (N, n) [rad or m].
-        tau: (N, n) [N m or N]; NaN if a joint's torque is not in the file.
-        qd: (N, n) [rad/s or m/s], or None.
-        qdd: (N, n) [rad/s^2 or m/s^2], or None.
-        q_ref: (N, n) set-point [rad or m], or None.
-        q_link: (N, n) position behind the gear [rad or m], or None; NaN for joints without such an encoder.
-        temperature: (N, n) of the joints [deg C], or None; NaN where there is no reading.
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    tau: np.ndarray
-    qd: np.ndarray | None = None
-    qdd: np.ndarray | None = None
-    q_ref: np.ndarray | None = None
-    q_link: np.ndarray | None = None
-    temperature: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -55,11 +32,7 @@ class Recording:
         name: the file's name, or the name of data in memory.
         path: of the file; None for data in memory.
         joints: the robot's joints, in its order.
-        measured: (n,) bool, which joints have torque.
-        has_velocity, has_acceleration, has_reference: whether every joint has a measured velocity, a measured
-            acceleration, a set-point.
-        linked: (n,) bool, which joints have an encoder behind the gear too.
-        thermal: (n,) bool, which joints have a temperature.
+        drives: of the joints whose torque is computed from the set-points.
         time: the part in use, seconds since the first row; None for all.
         notes: what is in the file but not used.
         torque_delay_s: delay of written torques relative to the positions that they belong to [s]. Rows are as written;
@@ -69,17 +42,48 @@ class Recording:
     name: str
     path: Path | None
     joints: tuple[str, ...]
-    measured: np.ndarray
-    has_velocity: bool
-    has_acceleration: bool
-    has_reference: bool
-    linked: np.ndarray
-    thermal: np.ndarray
+    drives: Drives
     time: tuple[float, float] | None
     notes: tuple[Remark, ...]
     _table: Table
     _sources: dict[str, tuple[Source, ...]]
+    _there: dict[str, np.ndarray]
     torque_delay_s: float = 0.0
+
+    @property
+    def measured(self) -> np.ndarray:
+        """Which joints have a torque, recorded or of a drive, (n,) bool."""
+        return self._there["tau"] | np.array([joint in self.drives.of for joint in self.joints])
+
+    @property
+    def has_velocity(self) -> bool:
+        """Whether every joint has a measured velocity."""
+        return bool(self._there["qd"].all())
+
+    @property
+    def has_acceleration(self) -> bool:
+        """Whether every joint has a measured acceleration."""
+        return bool(self._there["qdd"].all())
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether every joint has a set-point."""
+        return bool(self._there["q_ref"].all())
+
+    @property
+    def referenced(self) -> np.ndarray:
+        """Which joints have a set-point that is used, (n,) bool: all, or those with a drive."""
+        return self._there["q_ref"]
+
+    @property
+    def linked(self) -> np.ndarray:
+        """Which joints have an encoder behind the gear too, (n,) bool."""
+        return self._there["q_link"]
+
+    @property
+    def thermal(self) -> np.ndarray:
+        """Which joints have a temperature, (n,) bool."""
+        return self._there["temperature"]
 
     def __repr__(self) -> str:
         return brief(
@@ -124,7 +128,7 @@ class Recording:
                     f"and joints {', '.join(joints)}"
                 )
             for index, joint in enumerate(joints):
-                if signal not in ("tau", "q_ref", *PARTIAL_SIGNALS) or not np.isnan(array[:, index]).all():
+                if signal not in PARTIAL_SIGNALS or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
         return connect(name, None, ArrayTable(columns), joints, Mapping(), None)
 
@@ -138,21 +142,17 @@ class Recording:
                 f"{self.path or self.name}: is of joints {', '.join(self.joints)}; expected {', '.join(joints)}"
             )
         order = [self.joints.index(joint) for joint in joints]
-        sources = dict(self._sources)
-        for key in sources.keys() & {"q", *OPTIONAL_SIGNALS}:
-            sources[key] = tuple(sources[key][k] for k in order)
-        for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
-            own = dict(zip(compress(self.joints, there), self._sources.get(key, ()), strict=True))
-            if own:
-                sources[key] = tuple(own[joint] for joint in joints if joint in own)
+        sources = {key: group for key, group in self._sources.items() if key == "t"}
+        for key in self._sources.keys() - {"t"}:
+            own = dict(zip(self._joints_with(key), self._sources[key], strict=True))
+            sources[key] = tuple(own[joint] for joint in joints if joint in own)
         return replace(
             self,
             joints=tuple(joints),
-            measured=self.measured[order],
-            linked=self.linked[order],
-            thermal=self.thermal[order],
+            drives=self.drives.of_joints(joints),
             time=time or self.time,
             _sources=sources,
+            _there={key: some[order] for key, some in self._there.items()},
         )
 
     def source(self, signal: str, joint: str) -> Source | None:
@@ -160,15 +160,21 @@ class Recording:
         found = self._sources.get(signal, ())
         if signal == "t":
             return found[0]
-        there = {"tau": self.measured, "q_link": self.linked, "temperature": self.thermal}.get(signal)
-        names = self.joints if there is None else tuple(compress(self.joints, there))
-        return dict(zip(names, found, strict=False)).get(joint)
+        return dict(zip(self._joints_with(signal), found, strict=False)).get(joint)
+
+    def _joints_with(self, signal: str) -> Sequence[str]:
+        return self.joints if signal == "q" else tuple(compress(self.joints, self._there[signal]))
 
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
         """Yield the rows in chunks of at most about `rows`.
 
         Raises: RecordingError naming the column and data row of an infinite value or of a time that goes backwards.
         """
+        found = self._as_written(rows)
+        return self.drives.with_torque(found) if self.drives.of else found
+
+    def _as_written(self, rows: int) -> Iterator[Chunk]:
+        """Yield the rows, without the torques of drives."""
         sources = [source for group in self._sources.values() for source in group]
         columns = list(dict.fromkeys(source.column for source in sources))
         where = {column: index for index, column in enumerate(columns)}
@@ -203,8 +209,8 @@ class Recording:
             keep = (t >= self.time[0]) & (t <= self.time[1])
             if not keep.any():
                 return None
-        optional = {key: values[key][keep] for key in OPTIONAL_SIGNALS if key in values}
-        for key, there in (("tau", self.measured), ("q_link", self.linked), ("temperature", self.thermal)):
+        optional = {}
+        for key, there in self._there.items():
             if there.any() or key == "tau":
                 whole = np.full((len(t), len(self.joints)), np.nan)
                 if there.any():
@@ -318,15 +324,11 @@ def connect(
         name=name,
         path=path,
         joints=tuple(joints),
-        measured=found.there["tau"],
-        has_velocity="qd" in found.sources,
-        has_acceleration="qdd" in found.sources,
-        has_reference="q_ref" in found.sources,
-        linked=found.there["q_link"],
-        thermal=found.there["temperature"],
+        drives=Drives(tuple(joints), found.drives, mapping.set_point_delay_s),
         time=time,
         notes=found.notes,
         _table=table,
         _sources=found.sources,
+        _there=found.there,
         torque_delay_s=mapping.torque_delay_s,
     )

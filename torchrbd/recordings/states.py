@@ -169,6 +169,7 @@ class _Cutter:
     def __init__(self, recording: Recording, survey: Survey, filtering: Filtering, rows: int):
         self._name, self._dt = recording.name, survey.clock.dt
         self._linked, self._thermal = torch.from_numpy(recording.linked), torch.from_numpy(recording.thermal)
+        self._referenced = torch.from_numpy(recording.referenced)
         self._use_velocity = torch.from_numpy(~np.isnan(survey.qd_noise_std))
         # If the velocity is measured, positions are not differentiated, and their noise is small.
         share = np.where(np.isnan(survey.qd_noise_std)[:, None], survey.motion_share, 1.0)
@@ -218,7 +219,7 @@ class _Cutter:
             qd = torch.where(self._use_velocity[:, None], measured[0], qd)
             qdd = torch.where(self._use_velocity[:, None], measured[1], qdd)
         reference = None
-        if self._ends[1] > self._ends[0]:
+        if self._ends[1] > self._ends[0] and self._referenced.all():
             q_ref, qd_ref, qdd_ref = convolved(raw[self._ends[0] : self._ends[1]], self._kernels)
             reference = q_ref, qd_ref, qdd_ref
         q_link = self._partly(raw[self._ends[1] : self._ends[2]], self._linked)

@@ -24,6 +24,7 @@ from torchrbd.report.inline import page_style
 from torchrbd.report.pictures import Pictures
 from torchrbd.report.springs import spring_figure
 from torchrbd.report.templates import environment
+from torchrbd.report.text.console import closed_loop_words
 from torchrbd.report.text.numbers import plain
 from torchrbd.report.text.verdict import badge, headline, model_words, part_left
 from torchrbd.simulation import COASTING, MotionError
@@ -44,7 +45,8 @@ def write_report(result: Identification | Diagnosis, path: str | Path) -> None:
     """
     page = Page(result)
     templates = environment()
-    templates.filters |= {"part_left": part_left, "signal_words": _signal_words}
+    templates.filters |= {"part_left": part_left, "signal_words": _signal_words, "thousandths": _thousandths}
+    templates.globals |= {"closed_loop_words": closed_loop_words}
     with page_style():
         text = templates.get_template("report.html.j2").render(page=page)
     write_whole(Path(path), text.encode())

@@ -32,6 +32,35 @@ _FASTEST = 1e4
 
 
 @dataclass(frozen=True)
+class Commands:
+    """Set-points that position drives follow, tau = clip(kp (q_ref - q) - kd qd, -limit, limit).
+
+    Attributes:
+        q_ref: (W, K + 1, n_dof) at the steps' ends [rad, m], linear in between; what stands at other joints does not
+            matter.
+        kp, kd, limit: (n_dof,) see ``torchrbd.recordings.drives.Drive``; kp and kd are zero at joints without a drive.
+    """
+
+    q_ref: Tensor
+    kp: Tensor
+    kd: Tensor
+    limit: Tensor
+
+    def steps(self, first: int, last: int) -> Commands:
+        """Return the steps from the first to before the last."""
+        return replace(self, q_ref=self.q_ref[:, first : last + 1])
+
+    def torque(self, k: int, part: float, q: Tensor, qd: Tensor) -> Tensor:
+        """Return the drives' torque (..., W, n_dof), a part of step k after its begin; zero at joints without one."""
+        return self.of(torch.lerp(self.q_ref[:, k], self.q_ref[:, k + 1], part), q, qd)
+
+    def of(self, q_ref: Tensor, q: Tensor, qd: Tensor) -> Tensor:
+        """Return the drives' torque (..., n_dof) for set-points and states (..., n_dof)."""
+        torque = self.kp * (q_ref - q) - self.kd * qd
+        return torch.where(self.kp > 0, torque.clamp(-self.limit, self.limit), 0.0)
+
+
+@dataclass(frozen=True)
 class Drive:
     """What drives W windows through K steps.
 
@@ -43,6 +72,7 @@ class Drive:
         t: (W,) times of their begin [s].
         temperature: (W, K + 1, n_dof) [deg C], or None.
         recording: its name, or None.
+        commands: set-points of the joints with a position drive; its torque adds to ``tau``. None without.
     """
 
     h: float
@@ -54,13 +84,16 @@ class Drive:
     t: Tensor
     temperature: Tensor | None = None
     recording: str | None = None
+    commands: Commands | None = None
 
     def steps(self, first: int, last: int) -> Drive:
         """Return the steps from the first to before the last."""
         ends = slice(first, last + 1)
         warm = None if self.temperature is None else self.temperature[:, ends]
         cut = {name: getattr(self, name)[:, ends] for name in ("q", "qd", "qdd")}
-        return replace(self, **cut, tau=self.tau[:, first:last], t=self.t + first * self.h, temperature=warm)
+        commands = None if self.commands is None else self.commands.steps(first, last)
+        t = self.t + first * self.h
+        return replace(self, **cut, tau=self.tau[:, first:last], t=t, temperature=warm, commands=commands)
 
     def held(self, mass: Tensor) -> Tensor:
         """Return mass matrices with the unit matrix's rows at joints that are moved."""
@@ -106,12 +139,12 @@ def _step(plant: Plant, drive: Drive, k: int, q: Tensor, qd: Tensor, mass: Tenso
     first = _explicit(plant, drive, k, q, qd, mass)
     middle, at = q + dt * qd, drive.conditions(k, _GAMMA)
     mass, free = drive.held(plant.mass(middle, at)), qd + dt * first
-    v = _implicit(plant, drive, middle, free, qd, mass, at)
+    v = _implicit(plant, drive, (k, _GAMMA), middle, free, qd, mass, at)
     second, braked = _explicit(plant, drive, k, middle, v, mass), (v - free) / dt
     end, at = q + h * (_DELTA * qd + (1.0 - _DELTA) * v), drive.conditions(k + 1)
     mass = drive.held(plant.mass(end, at))
     free = qd + h * (_DELTA * first + (1.0 - _DELTA) * second + (1.0 - _GAMMA) * braked)
-    return end, _implicit(plant, drive, end, free, v, mass, at), mass
+    return end, _implicit(plant, drive, (k, 1.0), end, free, v, mass, at), mass
 
 
 def _explicit(plant: Plant, drive: Drive, k: int, q: Tensor, qd: Tensor, mass: Tensor) -> Tensor:
@@ -122,16 +155,25 @@ def _explicit(plant: Plant, drive: Drive, k: int, q: Tensor, qd: Tensor, mass: T
 
 
 def _implicit(
-    plant: Plant, drive: Drive, q: Tensor, free: Tensor, near: Tensor, mass: Tensor, at: Conditions
+    plant: Plant,
+    drive: Drive,
+    when: tuple[int, float],
+    q: Tensor,
+    free: Tensor,
+    near: Tensor,
+    mass: Tensor,
+    at: Conditions,
 ) -> Tensor:
-    """Return the velocity v = free + g h F(q, v), beginning the search at one nearby."""
-    if plant.is_bare:
+    """Return the velocity v = free + g h F(q, v), beginning the search at one nearby; ``when`` is step and part."""
+    commands = drive.commands
+    if plant.is_bare and commands is None:
         return free
 
     torque = plant.terms(q, at)
 
     def force(v: Tensor) -> Tensor:
-        return torch.where(drive.moved, 0.0, torque(v))
+        own = torque(v) if commands is None else torque(v) - commands.torque(*when, q, v)
+        return torch.where(drive.moved, 0.0, own)
 
     impulse = (mass @ free.unsqueeze(-1)).squeeze(-1)
     return balanced_velocity(mass, impulse, force, near, _GAMMA * drive.h, plant.slowest)

@@ -1,4 +1,4 @@
-"""One recording anew: a model rolled forward from its first state under its torque, as long as one likes."""
+"""One recording anew: a model rolled forward from its first state under its torque, or its set-points."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from torchrbd.recordings import (
     survey,
     tiles,
 )
+from torchrbd.simulation.closed_loop import commanded
 from torchrbd.simulation.plant import Plant
 from torchrbd.simulation.rollout import Drive, rollout
 from torchrbd.simulation.windows import STEP_S, driving, pieces
@@ -35,6 +36,8 @@ from torchrbd.simulation.windows import STEP_S, driving, pieces
 SUFFIXES = (".parquet", ".csv", ".npz")
 """Of the files that a motion can be written to."""
 _STEPS_AT_ONCE, _MOST_RATE_HZ = 200, 1e5
+# Longest step under set-points [s]: a stiff drive of a light link is faster than a robot.
+_COMMANDED_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class SimulatedMotion:
         q, qd: (N, n) simulated [rad, m] and per second; NaN once the motion is lost.
         tau: (N, n) torque that drove it, at the time of the motion [N m, N]; NaN where a joint was moved.
         recorded: (N, n) positions as recorded, low-passed as everywhere.
+        q_ref: (N, n) set-points when drives follow them [rad, m], NaN for joints without a drive; None under a torque.
         moved: joints whose torque is not recorded: they move as they did.
         notes: further remarks.
     """
@@ -59,6 +63,7 @@ class SimulatedMotion:
     recorded: np.ndarray
     moved: tuple[str, ...]
     notes: tuple[Remark, ...]
+    q_ref: np.ndarray | None = None
 
     def __repr__(self) -> str:
         errors = [f"{name}: {x:.3g}" for name, x in self.distance.items() if name not in self.moved]
@@ -69,6 +74,15 @@ class SimulatedMotion:
         """Root mean square distance from the recorded positions by joint [rad, m]; NaN once the motion is lost."""
         rms = np.sqrt(np.square(self.q - self.recorded).mean(0))
         return dict(zip(self.joints, rms.tolist(), strict=True))
+
+    @property
+    def tracking(self) -> dict[str, tuple[float, float]]:
+        """Root mean square of set-point minus position, of the robot and simulated, by joint with a drive [rad, m]."""
+        if self.q_ref is None:
+            return {}
+        both = (np.sqrt(np.square(self.q_ref - q).mean(0)).tolist() for q in (self.recorded, self.q))
+        found = dict(zip(self.joints, zip(*both, strict=True), strict=True))
+        return {name: pair for name, pair in found.items() if not np.isnan(pair[0])}
 
     def recording(self, name: str = "simulated") -> Recording:
         """Return it as a recording, for ``identify`` and ``diagnose``."""
@@ -114,15 +128,20 @@ def simulate(
     start: float = 0.0,
     seconds: float | None = None,
     rate_hz: float | None = None,
+    commands: bool = False,
     mapping: str | Path | None = None,
     cutoff_hz: float | None = None,
     progress: Progress = lambda *_: None,
 ) -> SimulatedMotion:
-    """Roll a model forward from a recorded state under the recorded torque.
+    """Roll a model forward from a recorded state under the recorded torque, or under the recorded set-points.
 
-    Nothing holds the motion to the recorded one: without a controller small errors grow, the faster the less stable the
-    robot is. Joint limits and contacts are left out. Joints whose torque is not recorded move as they did. The torque
-    between two samples is linear; steps last 5 ms at most.
+    With ``commands``, joints with a drive follow their recorded set-points, with the gains, limits and delay that the
+    mapping has: the closed loop of the robot. Errors do not grow then.
+
+    Without, nothing holds the motion to the recorded one: small errors grow, the faster the less stable the robot is.
+
+    Joint limits and contacts are left out. Joints whose torque is not recorded move as they did. Torques and set-points
+    are linear between two samples; steps last 5 ms at most, 1 ms under set-points.
 
     What the model knows of the recording counts: a torque that is late, early or a command is brought to the motion,
     and the robot carries its known load. One that it does not know has the clock of those that the model was fitted
@@ -134,12 +153,14 @@ def simulate(
         start: where it begins, seconds from the recording's first row; the filters need a moment before it.
         seconds: how long it lasts; to the end of the uninterrupted piece by default.
         rate_hz: samples a second; the recording's by default.
+        commands: whether drives follow set-points; the mapping then gives their gains.
         mapping: YAML file of other column names and units.
         cutoff_hz: band limit of the recorded motion [Hz]; chosen from the data by default.
         progress: called with the stage and the part of it that is done.
 
     Raises:
-        RecordingError: a recording that cannot be used, or that has no torque, or nothing at that time.
+        RecordingError: a recording that cannot be used, or that has no torque (for ``commands``, no drive), or nothing
+            at that time.
         OptionError: a start before the first row, a length or rate that is not positive, or a rate beyond 100 kHz.
         PhysicalError: the mass matrix is not positive definite.
 
@@ -162,10 +183,15 @@ def simulate(
     if not bool(measured.any()):
         raise RecordingError(f"{opened.path or opened.name}: no torque is recorded, so nothing drives the robot")
     condition = model.condition(opened.name)
+    if commands and not opened.drives.of:
+        raise RecordingError(
+            f"{opened.path or opened.name}: no joint has a drive that follows set-points; give --mapping a file with "
+            "their gains, such as joints: {'*': {drive: {kp: 20, kd: 0.5}}}"
+        )
     plant = Plant(model, condition.load)
     t, signals = _piece(opened, seen, plant, condition, start, seconds, cutoff_hz)
     dt = 1.0 / (rate_hz or seen.rate_hz)
-    parts = max(1, math.ceil(dt / STEP_S - 1e-6))
+    parts = max(1, math.ceil(dt / (_COMMANDED_S if commands else STEP_S) - 1e-6))
     begin = max(start, float(t[0]))
     until = float(t[-1]) if seconds is None else min(begin + seconds, float(t[-1]))
     count = math.floor((until - begin) / dt + 1e-6)
@@ -187,13 +213,21 @@ def simulate(
         temperature=x.get("temperature"),
         recording=opened.name,
     )
+    if commands:
+        drive = commanded(drive, opened, at[None])
     q, qd = _rolled(plant, drive, progress)
     at = at[::parts]
     tau = np.where(opened.measured, make_interp_spline(t, signals["tau"], k=1)(at), np.nan)
+    q_ref = None
+    if drive.commands is not None:
+        driven, follows = (drive.commands.kp > 0).numpy(), drive.commands
+        q_ref = np.where(driven, follows.q_ref[0, ::parts].numpy(), np.nan)
+        own = follows.of(follows.q_ref[0, ::parts], q[0, ::parts], qd[0, ::parts]).numpy()
+        tau = np.where(driven, own, tau)
     moved = tuple(name for name, known in zip(opened.joints, opened.measured, strict=True) if not known)
     q, qd, recorded = (one[0, ::parts].numpy() for one in (q, qd, drive.q))
     notes = _notes(opened, condition, start, begin)
-    return SimulatedMotion(opened.joints, at, q, qd, tau, recorded, moved, notes)
+    return SimulatedMotion(opened.joints, at, q, qd, tau, recorded, moved, notes, q_ref)
 
 
 def _opened(

@@ -91,22 +91,22 @@ def starts(blocks: Sequence[Block], length: float, most: int) -> list[tuple[str,
     """
     found = [
         (recording, round(first + k * length, 6))
-        for recording, first, last in _runs(blocks)
+        for recording, first, last in runs(blocks)
         for k in range(math.floor((last - first) / length + 1e-9))
     ]
     evenly = np.linspace(0, len(found) - 1, min(len(found), most)).round().astype(int)
     return [found[k] for k in evenly]
 
 
-def _runs(blocks: Sequence[Block]) -> list[tuple[str, float, float]]:
+def runs(blocks: Sequence[Block]) -> list[tuple[str, float, float]]:
     """Return runs of blocks of one recording: its name, begin and end [s]."""
-    runs: list[tuple[str, float, float]] = []
+    found: list[tuple[str, float, float]] = []
     for block in blocks:
-        if runs and runs[-1][0] == block.recording and 0 <= block.start_s - runs[-1][2] < _GAP_S:
-            runs[-1] = (block.recording, runs[-1][1], block.end_s)
+        if found and found[-1][0] == block.recording and 0 <= block.start_s - found[-1][2] < _GAP_S:
+            found[-1] = (block.recording, found[-1][1], block.end_s)
         else:
-            runs.append((block.recording, block.start_s, block.end_s))
-    return runs
+            found.append((block.recording, block.start_s, block.end_s))
+    return found
 
 
 def cut(tiles: Iterable[States], wanted: Sequence[Start], plants: Mapping[str, Plant]) -> Windows | None:

@@ -68,6 +68,16 @@ def open_all(
     return tuple(found)
 
 
+def have_drives(sources: Sequence[NamedSource], settings: Settings) -> bool:
+    """Return whether joints have drives, whose torque is computed from set-points.
+
+    Raises:
+        RecordingError: a mapping that cannot be read.
+    """
+    opened = any(isinstance(source, Recording) and source.drives.of for source in sources)
+    return opened or bool(settings.mapping and read_mapping(settings.mapping).drives)
+
+
 def open_simulated(robot: RobotModel, settings: Settings, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     """Open the simulator's recordings, one for each real one; none if the settings name none.
 

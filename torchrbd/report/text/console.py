@@ -7,6 +7,7 @@ from pathlib import Path
 
 from torchrbd.excitation.conditioning import ConditionNumbers
 from torchrbd.report.text.numbers import number
+from torchrbd.simulation import ClosedLoop
 
 PHYSICAL = (
     "physical? says whether every link has a mass and an inertia that a real body can have. If not, the nearest "
@@ -31,6 +32,15 @@ def measure_words(held_out: str, cutoff_hz: float) -> str:
     return (
         f"NMSE on held-out data ({held_out}), torque and features band-limited at {cutoff_hz:.3g} Hz; 0 is perfect, 1 "
         "is no better than a constant:"
+    )
+
+
+def closed_loop_words(loop: ClosedLoop) -> str:
+    """Say what is simulated under set-points, and what the errors are of."""
+    where = "held-out data" if loop.held_out else "all data, as nothing is held out"
+    return (
+        f"Simulation under the recorded set-points, {loop.seconds:.3g} s of {where}: root mean square distance from "
+        "the recorded positions. The tracking error is that of the robot, set-point minus position."
     )
 
 
