@@ -96,6 +96,21 @@ def real_robots() -> str:
 
 
 @table
+def closed_loop() -> str:
+    names, columns = {"z1": "Unitree Z1", "go2": "Unitree Go2, front left leg"}, dict[str, dict[str, str]]()
+    found = results("closed_loop")
+    for key, one in found.items():
+        robot, model = key.split(": ")
+        columns.setdefault(model, {})[robot] = f"{one['rms_mrad']:.3g} mrad"
+    order = ["URDF", *(m for m in columns if m not in ("URDF", "torchrbd identify")), "torchrbd identify"]
+    rows = [
+        [words, *(columns[m].get(robot, "–") for m in order), f"{found[f'{robot}: URDF']['tracking_mrad']:.3g} mrad"]
+        for robot, words in names.items()
+    ]
+    return markdown(["robot", *order, "tracking error"], rows)
+
+
+@table
 def real_joints() -> str:
     rows = []
     each = ((one, model) for one in results("real_robots").values() for model in BASELINES if model in one["nmse"])
@@ -150,8 +165,10 @@ def summary() -> str:
         ["simulated, one effect of 2 or 4 %: named", c["clean_2_4"]],
         ["simulated, friction everywhere, one to four effects: named", c["field"]],
         ["the same, effects of 8 % and more: named", c["field_8"]],
+        ["simulated by Pinocchio, friction everywhere, one effect of 8 %: named", c["raw"]],
         ["simulated, nothing hidden: robots with a false finding", c["null_false"]],
         ["simulated, hidden effects: robots with a false finding", c["planted_false"]],
+        ["simulated by Pinocchio: robots with a false finding", c["raw_false"]],
         ["findings with a probability above 0.9 that are right", c["sure_right"]],
         ["95 % intervals that contain the truth", c["coverage"]],
         ["physics outside the list: reported as unexplained, right joint and signal", c["outside_unexplained"]],
@@ -208,20 +225,6 @@ def earning_a_name() -> str:
     of = found["of"]
     columns = ["rule", *(f"{kind}, of {of[kind]}" for kind in of)]
     return markdown(columns, [[rule, *kept.values()] for rule, kept in found["rules"].items()])
-
-
-@table
-def earning_a_name_areas() -> str:
-    names = {
-        "evidence": "evidence",
-        "left_out": "evidence of left-out blocks",
-        "elpd_final": "elpd over se, noise of the final model",
-        "elpd_saturated": "elpd over se, noise of smooth curves",
-        "elpd": "elpd over se, least squares in the band",
-        "equivalence": "equivalence",
-    }
-    area = results("earning_a_name")["all"]["area"]
-    return markdown(["score", "area"], [[words, f"{area[key]:.3f}"] for key, words in names.items()])
 
 
 @table
