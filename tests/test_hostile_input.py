@@ -217,5 +217,7 @@ def test_what_is_given_in_the_wrong_place(
 def test_a_mapping_that_is_no_mapping_is_not_told_whole(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = "identify", case / "arm.urdf", case / "day.csv", "-o", case / "o", "--mapping", case / "day.csv"
     told = refused(capsys, *command)
-    assert "the file: expected time or joints or topic or episodes or torque_delay, got 't,q_" in told
+    assert (
+        "the file: expected time or joints or topic or episodes or torque_delay or set_point_delay, got 't,q_" in told
+    )
     assert len(told) < 400

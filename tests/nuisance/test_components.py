@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +15,7 @@ from torchrbd.diagnosis.hypotheses import hypothesis_of
 from torchrbd.effects import Site, effect
 from torchrbd.likelihood.likelihood import Likelihood
 from torchrbd.nuisance.component import Component
+from torchrbd.nuisance.rotor import Rotor
 
 JOINTS = range(2)
 
@@ -35,6 +37,12 @@ def curve() -> Component:
     return curves_at(fit(), rows, [1])[0].extra(fit(), rows)
 
 
+def rotor() -> Rotor:
+    """Return the rotors of a robot whose second joint has a drive."""
+    machine = fit().machine
+    return Rotor(replace(machine.rows, driven=np.array([False, True])), machine.torque_rms)
+
+
 COMPONENTS: dict[str, Callable[[], Component]] = {
     name: lambda kind=name: next(c for c in fit().machine.components if type(c).__name__ == kind)
     for name in (
@@ -42,7 +50,7 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
         "StateBandwidth", "Drift", "ClockOffset", "RestHolding",
     )
 }  # fmt: skip
-COMPONENTS |= {"effect": spring, "curve": curve}
+COMPONENTS |= {"effect": spring, "curve": curve, "Rotor": rotor}
 
 
 def test_all_components_of_a_machine_are_tried() -> None:
@@ -66,6 +74,14 @@ def test_columns_have_coefficients_of_their_component(name: str, *, known: bool)
         assert (sizes >= 0.0).all()
         # The same again: nothing that is asked changes what is asked.
         np.testing.assert_array_equal(one.columns(j, hyper, along)[0], columns)
+
+
+def test_only_joints_with_a_drive_have_a_rotor() -> None:
+    one, machine = rotor(), fit().machine
+    assert [len(one.at(j)) for j in JOINTS] == [0, 1]
+    column = one.columns(1, fit().hyper, None)[0][0]
+    np.testing.assert_allclose(column, one.size(1) * machine.rows.qdd[1])
+    assert np.sqrt(np.mean(column**2)) == pytest.approx(machine.torque_rms[1])
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
