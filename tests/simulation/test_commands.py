@@ -14,6 +14,7 @@ from simulated import joint_names
 
 import torchrbd
 from torchrbd.cli import main
+from torchrbd.dataset.block_statistics import Block
 from torchrbd.dataset.reading import Reading
 from torchrbd.effects import Site, Term, effect
 from torchrbd.errors import RecordingError
@@ -22,7 +23,7 @@ from torchrbd.inference.settings import Settings
 from torchrbd.model import RigidBodyDynamics
 from torchrbd.recordings import open_recording, read_mapping
 from torchrbd.simulation import closed_loop
-from torchrbd.simulation.closed_loop import set_points
+from torchrbd.simulation.closed_loop import _by_joint, set_points
 
 pytestmark = pytest.mark.usefixtures("fit_alone")
 
@@ -111,8 +112,6 @@ def reading_of(case: Path) -> Reading:
 
 
 def test_windows_together_are_those_alone(case: Path) -> None:
-    from torchrbd.dataset.block_statistics import Block
-
     blocks = [Block("day.csv", a, b) for a, b in ((1.0, 3.0), (5.0, 6.0))]
     reading, models = reading_of(case), {"urdf": RigidBodyDynamics.from_urdf(URDF.encode()), "extended": true_model()}
     both, _ = closed_loop(reading, blocks, [True, True], models)
@@ -144,3 +143,22 @@ def test_on_the_command_line(case: Path, tmp_path: Path, capsys: pytest.CaptureF
     said = capsys.readouterr().out
     assert "tracking error" in said
     assert {f"tau_{n}" for n in joint_names(URDF)} <= set(pd.read_csv(tmp_path / "out.csv").columns)
+
+
+def test_a_joint_whose_torque_never_changes_has_no_error(case: Path, tmp_path: Path) -> None:
+    """Its drive holds it at its set-point: nothing is measured there, as at any constant torque."""
+    first, second = joint_names(URDF)
+    still = pd.read_csv(case / "day.csv")
+    still[f"q_{second}"] = still[f"q_ref_{second}"] = 0.3
+    still[f"qd_{second}"] = 0.0
+    still.to_csv(tmp_path / "day.csv", index=False)
+    (tmp_path / "map.yaml").write_text(mapping_text())
+    blocks = [Block("day.csv", 1.0, 2.0)]
+    found, _ = closed_loop(reading_of(tmp_path), blocks, [True], {"urdf": RigidBodyDynamics.from_urdf(URDF.encode())})
+    assert found is not None
+    assert set(found.errors["urdf"]) == set(found.tracking) == {first}
+
+
+def test_a_recording_without_a_joint_does_not_hide_its_error() -> None:
+    parts = [torch.tensor([[3.0, torch.nan]]), torch.tensor([[3.0, 4.0]])]
+    assert _by_joint(parts, ["a", "b"]) == {"a": 3.0, "b": 4.0}

@@ -21,7 +21,7 @@ from torchrbd.inference.baseline import fit_baseline
 from torchrbd.inference.data.bodies import fixed_base
 from torchrbd.inference.estimators import estimate
 from torchrbd.inference.identification import Identification
-from torchrbd.inference.ordinary import of_drives_only, with_friction, with_machine
+from torchrbd.inference.ordinary import drop_rotors_without_drive, with_friction, with_machine
 from torchrbd.inference.parameter_estimates import base_estimates, inertial_estimates, values_alone
 from torchrbd.inference.physical.fitting import FittedModel, judge, term_candidates
 from torchrbd.inference.physical.terms import term_estimates
@@ -128,7 +128,7 @@ def identify(
     progress("looking for wrong units and columns", 0.0)
     suspected = suspicions(prepared)
     prepared = with_machine(prepared, settings, fitted, progress)
-    terms = of_drives_only(prepared, settings, term_candidates(prepared.columns, [e.id for e in fitted]))
+    terms = drop_rotors_without_drive(prepared, settings, term_candidates(prepared.columns, [e.id for e in fitted]))
     check_seen(settings.requested_effects(), prepared.columns)
     prepared, terms = refined(prepared, terms, progress)
     progress("fitting", 0.0)

@@ -46,7 +46,7 @@ def with_friction(settings: Settings, sources: Sequence[NamedSource] = ()) -> tu
     return tuple(effect(identifier) for identifier in ordinary if identifier not in settings.exclude)
 
 
-def of_drives_only(prepared: Prepared, settings: Settings, terms: Sequence[Candidate]) -> list[Candidate]:
+def drop_rotors_without_drive(prepared: Prepared, settings: Settings, terms: Sequence[Candidate]) -> list[Candidate]:
     """Return terms without the rotor inertia of joints that have no drive, unless the user asks for effects."""
     driven = prepared.reading.driven
     asked = settings.effects is not None

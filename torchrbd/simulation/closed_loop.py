@@ -86,7 +86,7 @@ def closed_loop(
         for name, plant in plants.items():
             progress("simulating motion", (k + list(plants).index(name) / len(plants)) / len(reading.recordings))
             drive = windows.drive(name, ~reading.measured(k), alike=not plant.conditional)
-            drive = commanded(drive, recording, at)
+            drive = with_commands(drive, recording, at)
             try:
                 path = rollout(plant, recorded[:, 0], windows.signals["qd"][:, 0], drive)[0]
             except (InputError, PhysicalError) as error:
@@ -95,7 +95,7 @@ def closed_loop(
             far = torch.nan_to_num(path - recorded, nan=torch.inf)
             errors.setdefault(name, []).append(torch.where(reading.measured(k), far, torch.nan)[inside])
         wanted_q = torch.from_numpy(set_points(recording, at))
-        driven = torch.from_numpy(recording.drives.stiffness > 0)
+        driven = torch.from_numpy(recording.drives.stiffness > 0) & reading.measured(k)
         tracking.append(torch.where(driven, wanted_q - recorded, torch.nan)[inside])
     if not errors:
         return None, tuple(notes)
@@ -103,7 +103,7 @@ def closed_loop(
     return ClosedLoop(seconds, bool(kept), by_model, _by_joint(tracking, names)), tuple(notes)
 
 
-def commanded(drive: Drive, recording: Recording, at: np.ndarray) -> Drive:
+def with_commands(drive: Drive, recording: Recording, at: np.ndarray) -> Drive:
     """Return the same with drives that follow set-points in place of their torque.
 
     Args:
@@ -148,6 +148,6 @@ def _inside(windows: Windows) -> Tensor:
 
 
 def _by_joint(parts: Sequence[Tensor], names: Sequence[str]) -> dict[str, float]:
-    """Return the root mean square (N, n_dof) of joints that have one."""
-    rms = torch.cat(list(parts)).square().mean(0).sqrt().tolist()
+    """Return the root mean square (N, n_dof) of joints that have one; NaN where a recording has no torque."""
+    rms = torch.cat(list(parts)).square().nanmean(0).sqrt().tolist()
     return {name: x for name, x in zip(names, rms, strict=True) if not np.isnan(x)}

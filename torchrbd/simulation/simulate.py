@@ -28,7 +28,7 @@ from torchrbd.recordings import (
     survey,
     tiles,
 )
-from torchrbd.simulation.closed_loop import commanded
+from torchrbd.simulation.closed_loop import with_commands
 from torchrbd.simulation.plant import Plant
 from torchrbd.simulation.rollout import Drive, rollout
 from torchrbd.simulation.windows import STEP_S, driving, pieces
@@ -214,7 +214,7 @@ def simulate(
         recording=opened.name,
     )
     if commands:
-        drive = commanded(drive, opened, at[None])
+        drive = with_commands(drive, opened, at[None])
     q, qd = _rolled(plant, drive, progress)
     at = at[::parts]
     tau = np.where(opened.measured, make_interp_spline(t, signals["tau"], k=1)(at), np.nan)
