@@ -24,6 +24,7 @@ from torchrbd.diagnosis.friction import COULOMB as EVEN
 from torchrbd.diagnosis.friction import UNEVEN
 from torchrbd.diagnosis.ranking import run_search
 from torchrbd.diagnosis.results import HeldOutCheck, Unexplained, Where
+from torchrbd.diagnosis.state_dependence import state_dependence
 from torchrbd.diagnosis.unexplained import drifts, large_errors, merge_errors, unexplained
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.identify import summarise
@@ -253,32 +254,54 @@ def test_drift_is_slow_in_the_residual_that_is_reported(torque: Callable[[np.nda
 
 
 @pytest.mark.parametrize(
-    ("nmse", "times", "lasts", "named", "says"),
+    ("nmse", "times", "lasts", "named", "of_states", "says"),
     [
-        (0.02, 1.0, True, True, "on held-out data is 0.0200 (2 % of the torque variance), with correlated errors"),
-        (0.005, 2.0, True, False, "on held-out data is 2.00 times that of the fitted data"),
-        (0.005, 2.0, True, True, ""),
-        (0.005, 1.2, True, False, ""),
-        (0.02, 2.0, False, False, ""),
+        (
+            0.02,
+            1.0,
+            True,
+            True,
+            True,
+            "(2 % of the torque variance), with correlated errors",
+        ),
+        (0.02, 1.0, True, True, True, "A random forest of all states predicts"),
+        (0.02, 1.0, True, True, False, ""),
+        (0.02, 2.0, True, True, False, "times that of the fitted data"),
+        (0.005, 2.0, True, False, True, "times that of the fitted data"),
+        (0.005, 2.0, True, True, True, ""),
+        (0.005, 1.2, True, False, True, ""),
+        (0.02, 2.0, False, False, True, ""),
     ],
-    ids=["much", "more than elsewhere", "and named", "as elsewhere", "white"],
+    ids=["much", "in words", "noise", "more, and much", "more than elsewhere", "and named", "as elsewhere", "white"],
 )
 def test_a_joint_that_is_predicted_badly_is_reported(
-    nmse: float, times: float, lasts: bool, named: bool, says: str
+    nmse: float, times: float, lasts: bool, named: bool, of_states: bool, says: str
 ) -> None:
-    rows = 200
-    held_out, ones = np.repeat([False, True], rows), np.ones((2 * rows, 1))
-    error = np.where(held_out, 0.5 * times, 0.5)[:, None]
-    measured = 0.5 * times / math.sqrt(nmse) * np.tile([[1.0], [-1.0]], (rows, 1))
+    """Errors of one size, whose sign depends on two positions, or on none."""
+    rows, rng = 400, np.random.default_rng(0)
+    t, held_out = 0.1 * np.tile(np.arange(rows), 2), np.repeat([False, True], rows)
+    q = np.sin(2.0 * np.pi * np.outer(t + 7.0 * held_out, [0.23, 0.31]))
+    sign = np.sign(q[:, 0] * q[:, 1]) if of_states else rng.choice([-1.0, 1.0], 2 * rows)
+    error = np.where(held_out, 0.5 * times, 0.5) * sign
+    predicted = 0.5 * times * math.sqrt(1.0 / nmse - 1.0) * np.tile([1.0, -1.0], rows)
+    measured, none = predicted + error, np.full(2 * rows, np.nan)
     series = TorqueSeries(
-        (FIRST,), ("day",), np.zeros(2 * rows, int), np.arange(2 * rows), held_out, ones, ones, ones, measured,
-        {"extended": measured - error},
+        (FIRST, SECOND), ("day", "night"), held_out.astype(int), t, held_out, q, 0.0 * q, 0.0 * q,
+        np.stack((measured, none), 1), {"extended": np.stack((predicted, none), 1)},
     )  # fmt: skip
-    assert series.fit("extended").nmse[FIRST] == pytest.approx(nmse)
+    assert series.fit("extended").nmse[FIRST] == pytest.approx(nmse, rel=0.05)
     check = HeldOutCheck(FIRST, {}, {"extended": 0.3 if lasts else 0.1}, 0.1)
     told = [one.statement for one in large_errors(series, [check], {FIRST} if named else set())]
     assert len(told) == bool(says)
     assert all(says in one for one in told)
+
+
+def test_a_joint_without_fitted_rows_has_no_errors_that_depend_on_states() -> None:
+    t, ones = 0.1 * np.arange(100), np.ones((100, 1))
+    series = TorqueSeries(
+        (FIRST,), ("day",), np.zeros(100, int), t, np.ones(100, bool), ones, ones, ones, ones, {"extended": 0.0 * ones}
+    )
+    assert not state_dependence(series, 0, "extended").certain
 
 
 def test_the_error_of_a_joint_is_said_where_its_residual_is() -> None:

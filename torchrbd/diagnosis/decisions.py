@@ -18,7 +18,8 @@ class Decisions:
         least_torque, least_error: region of practical equivalence: what carries less than this part of its joint's
             torque while it acts, or removes less than this part of the error of left-out blocks, has no name.
         negligible_torque: a drift below this part of its joint's torque is not reported.
-        poor_nmse: a joint with a larger held-out nmse is reported, if its errors have a memory.
+        poor_nmse: a joint with a larger held-out nmse is reported, if its errors have a memory, and depend on the
+            states.
         larger_error: held-out errors so many times those on fitted data are unexplained, and drift and noise so many
             times the noise.
         memory: errors that stay alike for so many times as long as white noise does have a memory.

@@ -292,8 +292,9 @@ class Unexplained(Stated):
         kind: "curve", a smooth function of a signal; "tone", one frequency; "drift", slow change with time;
             "error", a large error on held-out data; or "larger error", errors on held-out data above those of the fit.
         sizes: numbers of that kind, by name: torque_rms [``unit``], low and high amplitude [``unit``], frequency [Hz],
-            nmse on held-out data, and ratio of the errors there to those of the fit; these two, where errors have a
-            memory, also of a curve, tone or drift of the joint, which then has no entry of its own for its error.
+            nmse on held-out data, and ratio of the errors there to those of the fit, drift aside; these two, where
+            errors have a memory, also of a curve, tone or drift of the joint, which then has no entry of its own for
+            its error; states, the part of an error that a random forest of all states predicts on left-out data.
         unit: of torques.
     """
 

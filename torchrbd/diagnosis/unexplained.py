@@ -18,6 +18,7 @@ from torchrbd.diagnosis.held_out_checks import EXTENDED
 from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.results import Elpd, HeldOutCheck, Region, Unexplained, Where
+from torchrbd.diagnosis.state_dependence import state_dependence
 from torchrbd.effects.smooth_torque import HUM
 from torchrbd.inference.results import TorqueSeries
 from torchrbd.nuisance.drift import DRIFT_HZ, MOST_DRIFT, drift_basis
@@ -115,20 +116,35 @@ def large_errors(
 ) -> Iterator[Unexplained]:
     """Yield joints whose held-out torque is predicted badly by the extended model, by errors that have a memory.
 
-    "Badly" is a large NMSE or, at joints where nothing is ``reported``, an error clearly above that of the fit. White
-    errors are noise, of which some motions make more than others.
+    "Badly" is a large NMSE of errors that depend on the states, or are clearly larger than those of the fit. Joints at
+    which nothing is ``reported`` need not have a large one. White errors are noise, of which some motions make more
+    than others; those that no function of the states predicts are noise, too. Drift has its own entries.
     """
     lasting = {p.joint for p in held_out_checks if p.memory_s[EXTENDED] > DECISIONS.memory * p.white_s}
     if not lasting:
         return
-    seen, unseen = series.fit(EXTENDED, held_out=False).rmse, series.fit(EXTENDED)
-    for name, rmse in unseen.rmse.items():
+    nmse, (seen, unseen) = series.fit(EXTENDED).nmse, _errors_without_drift(series)
+    for j, name in enumerate(series.joints):
         if name not in lasting:
             continue
-        if unseen.nmse[name] > DECISIONS.poor_nmse:
-            sizes = {"nmse": unseen.nmse[name]}
-            yield Unexplained((name,), (), Where(), 1.0, kind="error", sizes=sizes)
-        elif name in seen and name not in reported and rmse > DECISIONS.larger_error * seen[name]:
-            share = 1.0 - (seen[name] / rmse) ** 2
-            sizes = {"ratio": rmse / seen[name]}
+        poor = nmse[name] > DECISIONS.poor_nmse
+        if poor and (elpd := state_dependence(series, j, EXTENDED)).certain and elpd.share >= DECISIONS.no_change:
+            sizes = {"nmse": nmse[name], "states": elpd.share}
+            yield Unexplained((name,), (), Where(), elpd.share, kind="error", sizes=sizes)
+        elif (poor or name not in reported) and unseen[j] > DECISIONS.larger_error * seen[j] > 0.0:
+            share, sizes = 1.0 - (seen[j] / unseen[j]) ** 2, {"ratio": float(unseen[j] / seen[j])}
             yield Unexplained((name,), (), Where(), share, kind="larger error", sizes=sizes)
+
+
+def _errors_without_drift(series: TorqueSeries) -> list[np.ndarray]:
+    """Return the errors (n,) of fitted and of held-out data, RMS, without what wanders in time."""
+    residual, found = series.residual(EXTENDED), np.full((2, len(series.joints)), np.nan)
+    for j in range(len(series.joints)):
+        for k, own in enumerate((~series.held_out, series.held_out)):
+            rows = own & np.isfinite(residual[:, j])
+            if rows.any():
+                left = residual[rows, j]
+                basis, _ = drift_basis(series.t[rows], series.recording[rows], DRIFT_HZ, MOST_DRIFT)
+                left = left - np.linalg.lstsq(basis.T, left, rcond=None)[0] @ basis
+                found[k, j] = np.sqrt(np.mean(left**2))
+    return [*found]
