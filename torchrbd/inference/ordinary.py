@@ -26,7 +26,6 @@ from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.settings import Settings
 from torchrbd.likelihood.clocks import Clocks, in_band, of_one_machine
 from torchrbd.likelihood.likelihood import Likelihood
-from torchrbd.likelihood.misspecification import MISFIT, TwoEstimates
 from torchrbd.likelihood.urdf_prior import data_prior
 from torchrbd.model import OTHERS
 from torchrbd.recordings import NamedSource
@@ -141,10 +140,11 @@ def _learnt(prepared: Prepared, held: frozenset[str]) -> Clocks | None:
 def _estimate_at_speed(
     prepared: Prepared, clocks: Clocks | None
 ) -> tuple[dict[str, tuple[float, float]], list[JointScale]]:
-    """Return clock offsets, and widths of friction's sign change, estimated from whitened rows of a wide band.
+    """Return clock offsets, and widths of friction's sign change, estimated from rows of a wide band.
 
-    If plain least squares disagrees, the law of friction is wrong. Such clock offsets are taken between the two
-    estimates, and such sign changes stay as wide as the velocity's error makes them.
+    If plain least squares disagrees, the law of friction is wrong: such clock offsets are taken between the two
+    estimates. Widths are those of plain least squares and of the machine alone, as the baseline has them. A law such as
+    presliding may take the sharp part of friction, and leave a wide sign change that predicts worse.
 
     Returns:
         by recording, the offset of its clocks and its standard deviation [s]; the scales of each joint.
@@ -152,8 +152,8 @@ def _estimate_at_speed(
     scales = list(prepared.columns.scales)
     if clocks is None:
         return {}, scales
-    two, machine = TwoEstimates(clocks.fit), clocks.fit.machine
-    for j, width in enumerate(clocks.fit.hyper.rest_width.tolist()):
-        if machine.rows.seen[j] and two.test([machine.transition.width(j)]).p_value > MISFIT:
+    alone = clocks.fit.extended(())
+    for j, width in enumerate(alone.least_squares.rewidened().hyper.rest_width.tolist()):
+        if clocks.fit.machine.rows.seen[j]:
             scales[j] = replace(scales[j], rest_width=max(width, scales[j].rest_width))
     return clocks.delay_s, scales
