@@ -34,6 +34,7 @@ from torchrbd.diagnosis.hypotheses import Hypothesis, again, average_each, hypot
 from torchrbd.diagnosis.ranking import _ranked
 from torchrbd.diagnosis.screening import refine_shape, screen
 from torchrbd.diagnosis.search import Search
+from torchrbd.diagnosis.sharpening import best_shape
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect, known_effects
 from torchrbd.likelihood.coefficient_prior import coefficient_std
@@ -84,7 +85,7 @@ def leading(torque) -> tuple[Likelihood, Rows, list[Hypothesis]]:
 def searched(torque) -> tuple[Search, list[Hypothesis]]:
     """Return a search and what it ranks, each at its best shape, given the curves that the data need."""
     fit = fitted(torque)
-    search = Search(carried(fit), ALL, learn_discrepancy(fit, carried(fit)))
+    search = Search(carried(fit), ALL, learn_discrepancy(fit))
     return search, search.rank([])
 
 
@@ -268,8 +269,8 @@ def test_what_averaging_has_cost_stays_paid_beside_another_fit(torque) -> None:
 
 def test_what_averaging_has_cost_stays_paid_where_the_shape_is_found_anew() -> None:
     fit, rows, found = leading(RIPPLE)
-    search = Search(rows, ALL, learn_discrepancy(fit, rows))
-    best = search.best_shape(fit, found[0])
+    search = Search(rows, ALL, learn_discrepancy(fit))
+    best = best_shape(fit, rows, found[0])
     one = again(fit, rows, best)
     assert one is not None
     assert one.log_evidence == pytest.approx(best.log_evidence, abs=1e-6)
@@ -336,6 +337,6 @@ def test_offset_of_a_torque_is_no_drift() -> None:
     found = [h for h in screen(fit, rows, ALL) if h.candidate.site.always]
     (offset,) = (h for h in found if h.name == ("torque_offset", Site(1)))
     assert offset.log_evidence > 50.0
-    (best,) = Search(rows, ALL, learn_discrepancy(fit, rows)).evidence([], offset)
+    (best,) = Search(rows, ALL, learn_discrepancy(fit)).evidence([], offset)
     assert best.coefficients[0] == pytest.approx(1.5, abs=4.0 * best.std[0])
     assert fit.hyper.drift[1] < 10.0 * plain.hyper.drift[1]

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from likelihood.fits import at_joint, candidate, carried, fitted
+from likelihood.fits import URDF, at_joint, candidate, carried, fitted
+from simulated import Motion, inverse_dynamics
 
 from torchrbd.diagnosis import search
 from torchrbd.diagnosis.curve_hypotheses import is_curve
 from torchrbd.diagnosis.discrepancy import learn_discrepancy
-from torchrbd.diagnosis.hypotheses import hypothesis_of
+from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of
 from torchrbd.diagnosis.outcome import SearchOutcome
 from torchrbd.diagnosis.posterior import log_odds
-from torchrbd.diagnosis.screening import refine_shape
+from torchrbd.diagnosis.screening import screen
 from torchrbd.diagnosis.search import Search, search_effects
+from torchrbd.diagnosis.sharpening import best_shape
 from torchrbd.effects import Site, effect
 
 EFFECTS = (
@@ -143,7 +145,7 @@ def test_what_a_model_has_is_not_added_to_it_again() -> None:
     """However small it is believed to be: a second one of the same time would stand for a larger first one."""
     fit = fitted(PULL)
     rows = carried(fit)
-    search = Search(rows, [effect("torque_offset")], learn_discrepancy(fit, rows))
+    search = Search(rows, [effect("torque_offset")], learn_discrepancy(fit))
     first = next(h for h in search.rank([]) if h.candidate.site.window is not None)
     small = replace(first, scale=1e-3 * first.scale)
     assert first.candidate not in [h.candidate for h in search.rank([small])]
@@ -154,7 +156,7 @@ def test_rivals_of_what_acts_for_a_time_are_at_its_place() -> None:
     fit = fitted(PULL)
     rows = carried(fit)
     effects = [effect(name) for name in ("torque_offset", "payload", "joint_spring", "quadratic_drag")]
-    search = Search(rows, effects, learn_discrepancy(fit, rows))
+    search = Search(rows, effects, learn_discrepancy(fit))
     ranked = search.rank([])
     brief = next(h for h in ranked if h.candidate.site.window is not None and h.candidate.place is not None)
     places = {h.candidate.place for h in search.rivals([], brief)}
@@ -177,7 +179,7 @@ def test_a_joint_has_one_shape_of_friction_and_one_modulator() -> None:
         "position_dependent_friction",
         "joint_spring",
     )
-    search = Search(rows, [effect(name) for name in names], learn_discrepancy(fit, rows))
+    search = Search(rows, [effect(name) for name in names], learn_discrepancy(fit))
     drag = hypothesis_of(fit, rows, candidate(rows, "quadratic_drag", Site(0)))
     assert drag is not None
     offered = {h.name for h in search.rank([drag])}
@@ -196,18 +198,56 @@ def test_refining_a_shape_leads_from_one_kind_to_another() -> None:
     bump = candidate(rows, "position_dependent_friction", Site(0), centre=0.2, width=0.7, profile=0.0)
     start = hypothesis_of(fit, rows, bump)
     assert start is not None
-    found = refine_shape(fit, rows, start)
+    found = best_shape(fit, rows, start)
     assert found.log_evidence > start.log_evidence + 10.0
     shape = found.candidate.shape
     assert shape["profile"] == 1.0
     assert (shape["centre"], shape["width"]) == pytest.approx((0.3, 0.6), abs=0.1)
 
 
+def test_each_kind_of_a_shape_is_refined_before_they_are_compared() -> None:
+    """Friction has a range with edges: the likeliest bump of the grid leads there, though no range is near it."""
+    fit = fitted(at_joint(0, lambda m: 2.0 * (np.abs(m.q[:, 0] - 0.13) < 0.25) * np.tanh(m.qd[:, 0] / 0.05)))
+    found = learn_discrepancy(fit)
+    e, columns = effect("position_dependent_friction"), found.rows.columns
+
+    def at(shape: Mapping[str, float]) -> Hypothesis:
+        one = hypothesis_of(found.fit, found.rows, columns.candidate(e, Site(0), shape))
+        assert one is not None
+        return one
+
+    grid = [at(shape) for shape in e.shapes(columns.scales[0])]
+    bump = max((h for h in grid if h.candidate.shape["profile"] == 0.0), key=lambda h: h.log_evidence)
+    assert at({**bump.candidate.shape, "profile": 1.0}).log_evidence < bump.log_evidence
+    shape = best_shape(found.fit, found.rows, bump).candidate.shape
+    assert shape["profile"] == 1.0
+    assert (shape["centre"], shape["width"]) == pytest.approx((0.13, 0.25), abs=0.01)
+
+
+def turned(m: Motion) -> np.ndarray:
+    """Return what an encoder offset of the first joint adds, by Pinocchio."""
+    return inverse_dynamics(URDF, replace(m, q=m.q - np.array([0.18, 0.0]))) - inverse_dynamics(URDF, m)
+
+
+def test_two_hypotheses_are_compared_each_in_its_own_model() -> None:
+    """An offset of the first joint, and a turned second one: evidence given other bodies than their own is no judge."""
+    fit = fitted(turned)
+    found, effects = learn_discrepancy(fit), [effect("encoder_offset"), effect("geometry_error")]
+    search, places = Search(found.rows, effects, found), dict(zip(effects, (Site(0), Site(1)), strict=True))
+    ranked = (h for h in screen(fit, found.rows, effects) if places[h.candidate.effect] == h.candidate.site)
+    judged = (search.evidence([], best_shape(fit, found.rows, h))[0] for h in ranked)
+    better, worse = sorted(judged, key=lambda h: -search.total([h]) - search.odds(h) + h.log_evidence)
+    wrong = replace(worse, log_evidence=better.log_evidence + 50.0)
+    assert search.odds(wrong) > search.odds(better)
+    assert search.likelier([], better, wrong) is better
+    assert search.likelier([], wrong, better) is better
+
+
 def test_a_search_knows_that_drives_are_alike() -> None:
     """A rotor at the second joint is judged, and ranked, as one more where the first joint has one."""
     fit = fitted(at_joint(0, lambda m: 0.3 * m.qdd[:, 0]))
     rows = carried(fit)
-    search = Search(rows, [effect("rotor_inertia"), effect("joint_spring")], learn_discrepancy(fit, rows))
+    search = Search(rows, [effect("rotor_inertia"), effect("joint_spring")], learn_discrepancy(fit))
     first, second = (hypothesis_of(fit, rows, candidate(rows, "rotor_inertia", Site(j))) for j in (0, 1))
     assert first is not None
     assert second is not None
@@ -224,5 +264,5 @@ def test_a_shape_that_physics_does_not_allow_has_no_evidence(settles_s: float, p
     rows = carried(fit)
     one = hypothesis_of(fit, rows, candidate(rows, "time_varying_friction", Site(0), time_constant=settles_s))
     assert one is not None
-    (judged,) = Search(rows, [effect("time_varying_friction")], learn_discrepancy(fit, rows)).evidence([], one)
+    (judged,) = Search(rows, [effect("time_varying_friction")], learn_discrepancy(fit)).evidence([], one)
     assert np.isfinite(judged.log_evidence) == possible

@@ -5,11 +5,9 @@ import pytest
 from likelihood.fits import Motion, at_joint, fitted
 from scipy.optimize import minimize
 
-from torchrbd.diagnosis.discrepancy import learn_discrepancy
 from torchrbd.diagnosis.hypotheses import Hypothesis, hypothesis_of, rows_with_load
 from torchrbd.diagnosis.screening import screen
-from torchrbd.diagnosis.search import Search
-from torchrbd.diagnosis.sharpening import find_summit, shape_stds
+from torchrbd.diagnosis.sharpening import best_shape, find_summit, shape_stds
 from torchrbd.effects import Site
 from torchrbd.effects.registry import effect
 
@@ -33,7 +31,7 @@ def case():
 
 def best_of(case) -> Hypothesis:
     fit, rows, coarse = case
-    return Search(rows, (), learn_discrepancy(fit, rows)).best_shape(fit, coarse)
+    return best_shape(fit, rows, coarse)
 
 
 def test_summit_is_that_of_a_general_optimiser(case) -> None:
@@ -64,7 +62,7 @@ def test_best_shape_is_the_true_one_and_has_more_evidence(case) -> None:
 def test_hypotheses_without_a_shape_stay(case) -> None:
     fit, rows, _ = case
     (one,) = (h for h in screen(fit, rows, [effect("joint_spring")]) if h.candidate.site == Site(0))
-    best = Search(rows, (), learn_discrepancy(fit, rows)).best_shape(fit, one)
+    best = best_shape(fit, rows, one)
     assert best.candidate == one.candidate
     assert best.log_evidence == pytest.approx(one.log_evidence, abs=1e-9)
 

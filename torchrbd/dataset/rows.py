@@ -157,7 +157,14 @@ class Rows:
             replace(s, rest_width=float(w), load_max=float(most))
             for s, w, most in zip(self.columns.scales, rest_width, load, strict=True)
         ]
-        columns = self.columns.of_candidates((), pi, friction).at_scales(scales)
+        return self._with(self.columns.of_candidates((), pi, friction).at_scales(scales))
+
+    def at_widths(self, rest_width: np.ndarray) -> Rows:
+        """Return the same rows, friction changing its sign over other speeds (n,) [rad/s, m/s]."""
+        each = zip(self.columns.scales, rest_width.tolist(), strict=True)
+        return self._with(self.columns.at_scales([replace(s, rest_width=w) for s, w in each]))
+
+    def _with(self, columns: Columns) -> Rows:
         tiles = tuple(replace(t, signals=columns.signals(t.states)) for t in self.tiles)
         return replace(self.without_cache, columns=columns, tiles=tiles)
 

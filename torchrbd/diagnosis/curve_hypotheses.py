@@ -110,11 +110,14 @@ def could_absorb_baseline(candidate: Candidate) -> bool:
     return isinstance(effect, SmoothTorque) and candidate.site.other is None and effect.signal in ("qd", "qdd", "load")
 
 
+def has_direction(candidate: Candidate) -> bool:
+    """Say whether a term is a curve that changes its sign with the velocity."""
+    return isinstance(candidate.effect, SmoothTorque) and candidate.effect.friction
+
+
 def has_friction(candidate: Candidate) -> bool:
     """Say whether a term is a curve that may hold a part of baseline friction."""
-    return could_absorb_baseline(candidate) or (
-        isinstance(candidate.effect, SmoothTorque) and candidate.effect.friction
-    )
+    return could_absorb_baseline(candidate) or has_direction(candidate)
 
 
 def depends_on(candidate: Candidate, joint_names: Sequence[str]) -> tuple[str, ...]:

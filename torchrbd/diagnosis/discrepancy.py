@@ -2,8 +2,9 @@
 
     tau_j = machine + laws + sum_k a_k f_k(x_k) + noise,   x_k one of the joint's own q, qd, qdd, load, and time
 
-An effect that is left out colours the noise that is learnt without it, and this noise then hides it. So the noise is
-learnt once, with curves of unknown amplitude a in the model, and held for all hypotheses. Curves that the data do not
+An effect that is left out colours the noise that is learnt without it, and this noise then hides it. It also makes
+friction change its sign over another speed, and drift more. So all these are learnt once, with curves of unknown
+amplitude a in the model, and held for all hypotheses. Curves that the data do not
 need, or that the noise explains as well if it is learnt without them, are dropped: what they took would be missing in
 the noise. The others stay in the model: a law has to explain more than they do, and where it does they go.
 
@@ -15,13 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.calibration import calibrated
-from torchrbd.diagnosis.curve_hypotheses import curves_at, is_of_time, is_over_own_signal, tones
-from torchrbd.diagnosis.hypotheses import Hypothesis
+from torchrbd.diagnosis.curve_hypotheses import curves_at, has_direction, is_of_time, is_over_own_signal, tones
+from torchrbd.diagnosis.hypotheses import Hypothesis, rows_with_load
 from torchrbd.diagnosis.posterior import curve_log_odds, needless
 from torchrbd.effects import Effect
 from torchrbd.likelihood.additions import Additions
@@ -37,13 +39,15 @@ class Discrepancy:
     """Curves and what is learnt with them.
 
     Attributes:
-        fit: the machine with noise and dispersion that are learnt with the curves, without these.
+        fit: the machine with the noise, drift, widths and dispersion that are learnt with the curves, without these.
+        rows: its rows, whose signals carry its load and friction.
         curves: those that the data need.
         extra: their columns.
         tried: the effects of all curves that were tried, but those over time.
     """
 
     fit: Likelihood
+    rows: Rows
     curves: tuple[Hypothesis, ...]
     extra: tuple[Extra, ...]
     tried: tuple[Effect, ...]
@@ -53,20 +57,24 @@ class Discrepancy:
         return curve_log_odds(present, len(self.tried), len(set(self.tried)))
 
 
-def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
-    """Learn amplitudes of curves, and noise.
+def learn_discrepancy(base: Likelihood) -> Discrepancy:
+    """Learn amplitudes of curves, noise, drift, and the widths of friction's sign change.
 
     Args:
         base: the machine.
-        rows: its rows, whose signals carry its load and friction.
     """
+    rows = rows_with_load(base)
     own = [h for h in curves_at(base, rows, range(rows.n_dof)) if is_over_own_signal(h.candidate)]
     curves = [*own, *tones(base, rows)]
     tried = tuple(h.candidate.effect for h in curves if not is_of_time(h.candidate))
     # Before the data, one of all curves is expected.
     before = calibrated(-math.log(max(len(curves), 1)))
     plain = base.with_(noise=tuple(replace(n, tail=None) for n in base.hyper.noise), dispersion=np.ones(rows.n_dof))
-    fit, steps = plain.extended([h.extra(base, rows) for h in curves]).renoised(), _FEW
+    first = plain.extended([h.extra(base, rows) for h in curves]).renoised()
+    # Rows are independent, as those of a machine are at first: noise that other widths have left would keep these.
+    dry = partial(_friction_curves, rows, curves, first.extra)
+    widths = first.least_squares.rewidened(dry).hyper.rest_width
+    fit, steps = _with_widths(first, rows, curves, widths).renoised(), _FEW
     while True:
         fit = _learn_amplitudes_and_noise(fit, steps)
         last = _with_tails(fit)
@@ -78,8 +86,47 @@ def learn_discrepancy(base: Likelihood, rows: Rows) -> Discrepancy:
         drop = needless(worth)
         curves = [h for k, h in enumerate(curves) if k not in drop]
         fit, steps = _without(fit, drop).renoised(), _FEW if drop else _STEPS
-    held = base.with_(noise=last.hyper.noise, dispersion=last.hyper.dispersion)
-    return Discrepancy(held, tuple(curves), last.extra, tried)
+    last = _or_widths_of(base, fit, last, rows, curves)
+    return Discrepancy(last.extended(()), rows.at_widths(last.hyper.rest_width), tuple(curves), last.extra, tried)
+
+
+def _friction_curves(
+    rows: Rows, curves: Sequence[Hypothesis], extra: Sequence[Extra], widths: np.ndarray
+) -> dict[int, Extra]:
+    """Return the columns of curves that are friction, by their number, if its sign changes over some speeds (n,)."""
+    there = rows.at_widths(widths)
+    dry = ((k, h.candidate) for k, h in enumerate(curves) if has_direction(h.candidate))
+    return {k: replace(extra[k], features=there.features(c)) for k, c in dry}
+
+
+def _with_widths(fit: Likelihood, rows: Rows, curves: Sequence[Hypothesis], widths: np.ndarray) -> Likelihood:
+    """Return a fit with curves in which friction changes its sign over other speeds (n,)."""
+    new = _friction_curves(rows, curves, fit.extra, widths)
+    return fit.with_(rest_width=widths).extended([new.get(k, e) for k, e in enumerate(fit.extra)])
+
+
+def _or_widths_of(
+    base: Likelihood, fit: Likelihood, last: Likelihood, rows: Rows, curves: Sequence[Hypothesis]
+) -> Likelihood:
+    """Return a model with the width that the machine has alone, at each joint where that is likelier.
+
+    Args:
+        base: the machine alone.
+        fit, last: the model with normal noise, and with its tails.
+        rows: whose load and friction its curves have.
+        curves: its curves.
+    """
+    for j in np.flatnonzero(last.hyper.rest_width != base.hyper.rest_width).tolist():
+        widths = np.where(np.arange(rows.n_dof) == j, base.hyper.rest_width, last.hyper.rest_width)
+        other = _learn_noise_of(j, fit, last, _with_widths(last, rows, curves, widths))
+        last = max(last, other, key=lambda one: one.log_evidence)
+    return last
+
+
+def _learn_noise_of(joint: int, fit: Likelihood, last: Likelihood, other: Likelihood) -> Likelihood:
+    """Return another model with the amplitudes and noise of a joint learnt; all else is as in the last one."""
+    own = _learn_amplitudes_and_noise(_with_noise_of(fit, joint, other), _FEW, joint)
+    return _with_tails(own, joint).dispersed(last.hyper.dispersion)
 
 
 def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothesis], before: float) -> list[float]:
@@ -97,9 +144,7 @@ def _more_than_noise(fit: Likelihood, last: Likelihood, curves: Sequence[Hypothe
         if is_of_time(h.candidate):
             worth.append(math.inf)
             continue
-        joint = h.candidate.joint
-        own = _learn_amplitudes_and_noise(_with_noise_of(fit, joint, _without(last, [k])), _FEW, joint)
-        other = _with_tails(own, joint).dispersed(last.hyper.dispersion)
+        other = _learn_noise_of(h.candidate.joint, fit, last, _without(last, [k]))
         worth.append(last.log_evidence - other.log_evidence + h.paid + before)
     return worth
 

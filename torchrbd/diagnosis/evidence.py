@@ -139,6 +139,18 @@ class ModelEvidence:
         fit, model = self._model(chosen)
         return fit.log_evidence + self._prior(model, len(chosen))
 
+    def likelier(self, rest: Sequence[Hypothesis], a: Hypothesis, b: Hypothesis) -> Hypothesis:
+        """Return the likelier of two hypotheses, given others, each in its own model.
+
+        Evidence is given bodies around which their prior is expanded. Two hypotheses may need different bodies.
+        """
+
+        def own(h: Hypothesis) -> float:
+            prior = self.odds(h) - calibrated(h.log_evidence)
+            return self.total([*rest, h]) + h.paid + prior
+
+        return max((a, b), key=own)
+
     def evidence(self, chosen: Sequence[Hypothesis], *offered: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses, each given a model, with coefficients and evidence.
 

@@ -18,7 +18,7 @@ from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.attack import attack
 from torchrbd.diagnosis.curve_hypotheses import depends_on, is_curve, is_of_time
 from torchrbd.diagnosis.curves import loudest_part
-from torchrbd.diagnosis.hypotheses import Hypothesis, rows_with_load
+from torchrbd.diagnosis.hypotheses import Hypothesis
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.results import Attack, Curve, Location, Region, ResidualMap, Where
 from torchrbd.diagnosis.search import Search
@@ -71,11 +71,11 @@ def locate(
 
 def _without_laws(found: SearchOutcome, report: Callable[[float], None]) -> tuple[list[Location], Likelihood]:
     """Return the locations that hypotheses without a law find in the base, and the model with these."""
-    search = Search(rows_with_load(found.base), list(_FORMS), found.discrepancy, report)
+    search = Search(found.discrepancy.rows, list(_FORMS), found.discrepancy, report)
     chosen, _ = search.improve([], search.rank([]))
     chosen = search.with_other_curves(chosen)
     every = [*search.conditional(chosen), *search.own_curves(chosen)]
-    fit, kept = search.final(found.base, [Term(h, ()) for h in every])
+    fit, kept = search.final([Term(h, ()) for h in every])
     located = [_as_in(fit, k, term.own) for k, term in enumerate(kept)]
 
     def point(c: Candidate) -> Attack | None:

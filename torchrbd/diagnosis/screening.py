@@ -58,7 +58,7 @@ def refine_shape(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
         return h
     # What the average has of this shape is replaced by that of the cell around it, which axes share as factors.
     rest = _less(h.log_evidence, at.log_evidence - math.log(h.tried))
-    at = _likeliest_kind(fit, rows, _or_agreeing(fit, rows, at))
+    at = _or_agreeing(fit, rows, at)
     cell = at.log_evidence
     for name, axis in varied(columns, h.candidate).items():
         now = at.candidate
@@ -84,18 +84,24 @@ def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
     return max(found, key=lambda each: each.log_evidence)
 
 
-def _likeliest_kind(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
-    """Return the likeliest of a candidate and those that differ from it in one kind alone, such as the side of a stop.
+def of_each_kind(fit: Likelihood, rows: Rows, h: Hypothesis) -> list[Hypothesis]:
+    """Return a hypothesis, then one of each other kind, such as the side of a stop: at its shape, and at the best one.
 
-    Kinds have no values between them, so refining other parameters never leads from one to another.
+    Kinds have no values between them, and each has shapes of its own: refining never leads from one to another.
     """
-    columns, effect, site = rows.columns, one.candidate.effect, one.candidate.site
+    columns, (effect, site, now) = rows.columns, (h.candidate.effect, h.candidate.site, h.candidate.shape)
     grid = effect.shapes(columns.scale(site)) if effect.kinds else ()
-    for name in effect.kinds:
-        values = sorted({shape[name] for shape in grid} - {one.candidate.shape[name]})
-        others = [columns.candidate(effect, site, {**one.candidate.shape, name: v}) for v in values]
-        one = max((one, *_hypotheses_of(fit, rows, others)), key=lambda each: each.log_evidence)
-    return one
+    kinds = {tuple(shape[name] for name in effect.kinds) for shape in grid} - {
+        tuple(now[name] for name in effect.kinds)
+    }
+    found = [h]
+    for kind in sorted(kinds):
+        own = dict(zip(effect.kinds, kind, strict=True))
+        moved = _hypotheses_of(fit, rows, [columns.candidate(effect, site, {**now, **own})])
+        like = [columns.candidate(effect, site, shape) for shape in grid if own.items() <= shape.items()]
+        best = sorted(_hypotheses_of(fit, rows, like), key=lambda one: -one.log_evidence)[:1]
+        found += (replace(h, candidate=one.candidate) for one in (*moved, *best))
+    return found
 
 
 def _less(total: float, part: float) -> float:

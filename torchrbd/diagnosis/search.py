@@ -23,12 +23,12 @@ from torchrbd.dataset.rows import Rows
 from torchrbd.diagnosis.curve_hypotheses import curves, is_curve, is_over_own_signal
 from torchrbd.diagnosis.discrepancy import Discrepancy, learn_discrepancy
 from torchrbd.diagnosis.evidence import Key, ModelEvidence, key_of, show_bodies
-from torchrbd.diagnosis.hypotheses import Hypothesis, again, hypothesis_of, meet, rows_with_load
+from torchrbd.diagnosis.hypotheses import Hypothesis, again, meet, rows_with_load
 from torchrbd.diagnosis.left_out import left_out_evidence
 from torchrbd.diagnosis.outcome import SearchOutcome, Term
 from torchrbd.diagnosis.posterior import excess_evidence, needless
-from torchrbd.diagnosis.screening import refine_shape, screen, screen_lasting
-from torchrbd.diagnosis.sharpening import find_summit
+from torchrbd.diagnosis.screening import screen, screen_lasting
+from torchrbd.diagnosis.sharpening import best_shape
 from torchrbd.diagnosis.windows import PlaceFilter, anywhere
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.likelihood.likelihood import Likelihood
@@ -61,8 +61,8 @@ def search_effects(
         report: called after each step with the part of the work that is done, which rises.
         discrepancy: curves and noise of the same base, if they are known.
     """
-    rows = rows_with_load(base)
-    search = Search(rows, effects, discrepancy or learn_discrepancy(base, rows), report)
+    discrepancy = discrepancy or learn_discrepancy(base)
+    search = Search(discrepancy.rows, effects, discrepancy, report)
     first = search.rank([])
     chosen, last = search.improve([], first)
     for _ in range(_LOADS):
@@ -73,7 +73,8 @@ def search_effects(
         chosen, last = search.improve(chosen, search.rank(chosen))
     chosen = search.with_other_curves(chosen)
     complete = not is_over() and len(chosen) < MOST_TERMS
-    fit, terms = search.final(base, search.terms(chosen))
+    fit, terms = search.final(search.terms(chosen))
+    fit = fit if terms else base
     return SearchOutcome(
         base, fit, search.rows.without_cache, terms, first, last, len(first), search.discrepancy, complete
     )
@@ -161,7 +162,7 @@ class Search(ModelEvidence):
             every = look(given, self.rows, self.effects, wanted)
             new = (h for h in every if h.name not in known and h.candidate not in present)
             found = self.ordered(h.count_elsewhere(chosen) for h in new)
-            short += [self.best_shape(given, h) for h in found[:near]]
+            short += [best_shape(given, self.rows, h) for h in found[:near]]
             others = others or found[near:]
         judged = {_kind(h): h for h in reversed(self.judge(chosen, short)) if h.candidate not in present}
         return self.ordered((*judged.values(), *(h for h in others if _kind(h) not in judged)))
@@ -169,18 +170,7 @@ class Search(ModelEvidence):
     def reshape(self, rest: Sequence[Hypothesis], h: Hypothesis) -> Hypothesis:
         """Return a term as it is, or at another shape, or window, if that is likelier given all other terms."""
         known = [(given, one) for given in self.with_and_without_curves(rest) if (one := again(given, self.rows, h))]
-        return self.judge(rest, [h, *(self.best_shape(given, one) for given, one in known)])[0]
-
-    def best_shape(self, fit: Likelihood, h: Hypothesis) -> Hypothesis:
-        """Return a hypothesis at the best shape, or window, given a fit."""
-        one = refine_shape(fit, self.rows, h)
-        if one.candidate.site.window is not None:
-            return one
-        best = hypothesis_of(fit, self.rows, find_summit(fit, self.rows, one).candidate)
-        if best is None:
-            return one
-        best = replace(best, log_evidence=best.log_evidence + one.paid, tried=one.tried, paid=one.paid)
-        return best if best.log_evidence > one.log_evidence else one
+        return self.judge(rest, [h, *(best_shape(given, self.rows, one) for given, one in known)])[0]
 
     def improve(self, chosen: list[Hypothesis], found: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return the terms of a model, and what else was considered: add, then swap and drop, until nothing changes."""
@@ -270,7 +260,9 @@ class Search(ModelEvidence):
                 continue
             rivals = self.rivals(rest, h)
             allowed = (one for one in rivals if _kind(one) not in self._rejected)
-            best = max((self.reshape(rest, h), *allowed), key=self.odds)
+            own = self.reshape(rest, h)
+            best = max((own, *allowed), key=self.odds)
+            best = own if best is own else self.likelier(rest, own, best)
             if key_of([best]) == key_of([h]):
                 self._known_rivals[known] = rivals
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
@@ -337,11 +329,12 @@ class Search(ModelEvidence):
             self._advance()
         return chosen
 
-    def final(self, base: Likelihood, terms: Sequence[Term]) -> tuple[Likelihood, tuple[Term, ...]]:
+    def final(self, terms: Sequence[Term]) -> tuple[Likelihood, tuple[Term, ...]]:
         """Return the model with its terms, all that is learnt being learnt with them, and those that it needs then.
 
         It has no curves over time. A term that its noise explains as well is dropped.
         """
+        base = self.discrepancy.fit
         while terms:
             own = [term.own for term in terms]
             fit = show_bodies(base.extended([h.extra(base, self.rows) for h in own]).refit, self.rows, own)

@@ -1,4 +1,4 @@
-"""Shapes of the greatest evidence: Gauss-Newton steps from a shape to the maximum,
+"""Shapes of the greatest evidence: from the best point of a refined grid, Gauss-Newton steps to the maximum,
 
     tau(theta + d) = sum_k w_k phi_k(theta) + d sum_k w_k dphi_k / dtheta
 
@@ -17,6 +17,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import ShapeSlope, slopes, varied
 from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, agree_shape, hypothesis_of, prior_std
+from torchrbd.diagnosis.screening import of_each_kind, refine_shape
 from torchrbd.effects import Site
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -27,6 +28,23 @@ _STEPS, _HALVINGS = 6, 3
 # What is fast is modelled worse: about as many times what rows say as shapes of a development set err by (seed 9203, a
 # play and a crank with another summit left out: Student's tails allow for such).
 _WORSE = 2.0
+
+
+def best_shape(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    """Return a hypothesis at the best shape, or window, given a fit: the best of each kind."""
+    every = (_best_of_kind(fit, rows, one) for one in of_each_kind(fit, rows, h))
+    return max(every, key=lambda one: one.log_evidence - one.paid)
+
+
+def _best_of_kind(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
+    one = refine_shape(fit, rows, h)
+    if one.candidate.site.window is not None:
+        return one
+    best = hypothesis_of(fit, rows, find_summit(fit, rows, one).candidate)
+    if best is None:
+        return one
+    best = replace(best, log_evidence=best.log_evidence + one.paid, tried=one.tried, paid=one.paid)
+    return best if best.log_evidence > one.log_evidence else one
 
 
 def find_summit(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:

@@ -163,7 +163,7 @@ SMOOTH = (
     SmoothTorque("qdd", 9),
     SmoothTorque("load", 15),
     SmoothTorque("t", 25),
-    SmoothTorque("q", 13, friction=True),
+    SmoothTorque("q", 21, friction=True),
     SmoothTorque("load", 9, friction=True),
     SmoothTorque("q", 9, other=True),
     SmoothTorque("qd", 9, other=True),

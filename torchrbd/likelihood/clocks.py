@@ -128,7 +128,7 @@ def _command_odds(moved: Clocks) -> float:
 
     rows = fit.machine.rows.around(fit.pi, fit.hyper.friction, fit.hyper.rest_width)
     features, seen = rows.evaluated(beyond), [j for j, at in enumerate(fit.index) if len(at)]
-    augmented = fit.extended([Extra(j, features[j : j + 1], np.ones(1)) for j in seen]).refit
+    augmented = fit.extended([Extra(j, features[j : j + 1], np.ones(1)) for j in seen]).renoised().rewidened().refit
     g = np.array([augmented.coefficients(k)[0] for k in range(len(seen))])
     weight = np.array([1.0 / augmented.coefficients_covariance(k)[0, 0] for k in range(len(seen))])
     mean = weight @ g / weight.sum()

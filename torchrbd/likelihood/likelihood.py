@@ -18,7 +18,7 @@ from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
 from torchrbd.likelihood.physical import expanded, most_probable
-from torchrbd.likelihood.widths import likeliest_width
+from torchrbd.likelihood.widths import DryFriction, likeliest_widths
 from torchrbd.nuisance.component import Along
 from torchrbd.nuisance.directions import STICKS
 
@@ -262,21 +262,23 @@ class Likelihood:
         hyper = self.hyper.with_(noise=tuple(noise), dispersion=dispersion)
         return Likelihood(self.machine, hyper, self.extra, self._along, self._designs, blocks)
 
-    def rewidened(self) -> Likelihood:
+    def rewidened(self, also: DryFriction = lambda _: {}) -> Likelihood:
         """Return the same model with the most probable widths of friction's sign change.
 
         All rows have equal weight here: the rows that show the widths, at reversals, would otherwise have less weight
         the worse they are explained.
+
+        Args:
+            also: additional columns that are friction, too.
         """
         joints, widths = self._seen(None), np.array(self.hyper.rest_width)
         one, noise = np.ones(len(self.machine.rows.t)), list(self.hyper.noise)
         for j in joints:
             noise[j] = replace(noise[j], spread=one, tail=None)
-        plain = self.with_(noise=tuple(noise))
-        for j in joints:
-            if self.machine.directions.moving[j]:
-                coulomb = float(self.hyper.friction[j, 1])
-                widths[j] = likeliest_width(self.machine, plain.gaussian, noise[j], coulomb, j)
+        plain, coulomb = self.with_(noise=tuple(noise)).gaussian, self.hyper.friction[:, 1].numpy()
+        move = [j for j in joints if self.machine.directions.moving[j]]
+        for j, width in likeliest_widths(self.machine, plain, noise, coulomb, move, also, self.further).items():
+            widths[j] = width
         return self.with_(rest_width=widths)
 
     @property
@@ -364,8 +366,8 @@ class Likelihood:
 
     @cached_property
     def refit(self) -> Likelihood:
-        """The same model with noise, widths and bodies learnt again, given its columns."""
-        return self.renoised().rewidened().relinearised().renoised(dispersed=True)
+        """The same model with noise and bodies learnt again, given its columns and widths."""
+        return self.renoised().relinearised().renoised(dispersed=True)
 
     def rescaled(self, ratios: Mapping[int, float]) -> Likelihood:
         """Return the same model with other prior sizes of additional columns, times ``ratios`` by their number.

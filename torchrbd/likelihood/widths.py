@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping, Sequence
+
 import numpy as np
 
+from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import Gaussian, added
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise
@@ -13,23 +16,48 @@ from torchrbd.nuisance.directions import STICKS
 _WIDTHS = tuple(np.geomspace(0.003, 0.45, 18).tolist())
 
 
-def likeliest_width(machine: Machine, fit: Gaussian, noise: Noise, coulomb: float, joint: int) -> float:
-    """Return the most probable width [rad/s] or [m/s] of a joint's dry friction, given the rest of the model.
+DryFriction = Callable[[np.ndarray], Mapping[int, Extra]]
+"""Additional friction, by its number in the model, if it changes its sign over some speeds (n,)."""
+
+
+def likeliest_widths(
+    machine: Machine,
+    fit: Gaussian,
+    noise: Sequence[Noise],
+    coulomb: np.ndarray,
+    joints: Collection[int],
+    also: DryFriction,
+    at: Callable[[int], np.ndarray],
+) -> dict[int, float]:
+    """Return the most probable width [rad/s] or [m/s] of the dry friction of some joints, given the rest of the model.
 
     Args:
         machine: rigid body and baseline terms.
-        fit: the posterior of all its columns.
-        noise: that whitens the joint's rows.
-        coulomb: approximate dry friction [N m or N].
-        joint: its index.
+        fit: the posterior of all columns.
+        noise: that whitens the rows of each joint.
+        coulomb: (n,) approximate dry friction [N m or N].
+        joints: their indices.
+        also: additional friction.
+        at: returns the coefficients of additional columns, by their number.
     """
-    dropped = [*machine.friction.at(joint)[1:], machine.transition.width(joint), *machine.sticking.at(joint)]
-    speed = np.sqrt(np.mean(machine.rows.qd[joint] ** 2))
-    rest, found = fit.among(np.setdiff1d(np.arange(len(fit.z)), dropped)), []
+    speed, error = np.sqrt(np.mean(machine.rows.qd**2, axis=1)), machine.rows.speed_std
+    first = {k: e.place for k, e in also(error).items()}
+    rest = {j: fit.among(_others(machine, fit, j, [at(k) for k, place in first.items() if place == j])) for j in joints}
+    found = {j: list[tuple[float, float]]() for j in joints}
     for part in _WIDTHS:
-        width = float(np.hypot(part * speed, machine.rows.speed_std[joint]))
-        F, held = machine.directions.sign(joint, width), machine.directions.held(joint, width)
-        std = np.append(machine.friction.std(joint, F), np.full(len(STICKS), coulomb))
-        S, r = rest.precision_and_score({joint: noise.white(np.concatenate((F, held)))})
-        found.append((float(added(S, r, std).log_evidence), width))
-    return max(found)[1]
+        widths = np.hypot(part * speed, error)
+        curves = also(widths).values()
+        for j, width in zip(joints, widths[list(joints)].tolist(), strict=True):
+            F, held = machine.directions.sign(j, width), machine.directions.held(j, width)
+            own = [e for e in curves if e.place == j]
+            std = [machine.friction.std(j, F), np.full(len(STICKS), coulomb[j]), *(e.std for e in own)]
+            columns = noise[j].white(np.concatenate((F, held, *(e.features for e in own))))
+            S, r = rest[j].precision_and_score({j: columns})
+            found[j].append((float(added(S, r, np.concatenate(std)).log_evidence), width))
+    return {j: max(each)[1] for j, each in found.items()}
+
+
+def _others(machine: Machine, fit: Gaussian, joint: int, also: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the coefficients of all columns that do not depend on the width of a joint's friction."""
+    dropped = [machine.friction.at(joint)[1:], [machine.transition.width(joint)], machine.sticking.at(joint), *also]
+    return np.setdiff1d(np.arange(len(fit.z)), np.concatenate(dropped))
