@@ -75,6 +75,8 @@ def learn_discrepancy(base: Likelihood) -> Discrepancy:
     dry = partial(_friction_curves, rows, curves, first.extra)
     widths = first.least_squares.rewidened(dry).hyper.rest_width
     fit, steps = _with_widths(first, rows, curves, widths).renoised(), _FEW
+    fit = _learn_amplitudes_and_noise(fit, steps)
+    fit = _or_widths_of(base, fit, fit, rows, curves)
     while True:
         fit = _learn_amplitudes_and_noise(fit, steps)
         last = _with_tails(fit)
