@@ -32,6 +32,8 @@ from torchrbd.likelihood.likelihood import Likelihood
 
 # Steps of amplitudes and noise, and how many while curves are dropped; gain [nats] that is worth another one.
 _STEPS, _FEW, _SETTLED = 20, 2, 0.1
+# How often curves are dropped: again, if a joint then has another width.
+_PASSES = 2
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,26 @@ def learn_discrepancy(base: Likelihood) -> Discrepancy:
     # Rows are independent, as those of a machine are at first: noise that other widths have left would keep these.
     dry = partial(_friction_curves, rows, curves, first.extra)
     widths = first.least_squares.rewidened(dry).hyper.rest_width
-    fit, steps = _with_widths(first, rows, curves, widths).renoised(), _FEW
-    fit = _learn_amplitudes_and_noise(fit, steps)
-    fit = _or_widths_of(base, fit, fit, rows, curves)
+    for _ in range(_PASSES):
+        fit, last, needed = _drop_curves(_with_widths(first, rows, curves, widths).renoised(), curves, before)
+        last = _or_widths_of(base, fit, last, rows, needed)
+        if (last.hyper.rest_width == widths).all():
+            break
+        widths = last.hyper.rest_width
+    return Discrepancy(last.extended(()), rows.at_widths(last.hyper.rest_width), tuple(needed), last.extra, tried)
+
+
+def _drop_curves(
+    fit: Likelihood, curves: Sequence[Hypothesis], before: float
+) -> tuple[Likelihood, Likelihood, list[Hypothesis]]:
+    """Return a model with the curves that it needs: with normal noise, with its tails, and these curves.
+
+    Args:
+        fit: the model with all curves.
+        curves: all curves.
+        before: log odds of each before the data.
+    """
+    fit, curves, steps = _learn_amplitudes_and_noise(fit, _FEW), [*curves], _FEW
     while True:
         fit = _learn_amplitudes_and_noise(fit, steps)
         last = _with_tails(fit)
@@ -84,12 +103,10 @@ def learn_discrepancy(base: Likelihood) -> Discrepancy:
         if min(worth, default=1.0) > 0.0 and steps == _STEPS:
             worth = _more_than_noise(fit, last, curves, before)
             if min(worth, default=1.0) > 0.0:
-                break
+                return fit, last, curves
         drop = needless(worth)
         curves = [h for k, h in enumerate(curves) if k not in drop]
         fit, steps = _without(fit, drop).renoised(), _FEW if drop else _STEPS
-    last = _or_widths_of(base, fit, last, rows, curves)
-    return Discrepancy(last.extended(()), rows.at_widths(last.hyper.rest_width), tuple(curves), last.extra, tried)
 
 
 def _friction_curves(
