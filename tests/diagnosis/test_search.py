@@ -239,8 +239,8 @@ def test_two_hypotheses_are_compared_each_in_its_own_model() -> None:
     better, worse = sorted(judged, key=lambda h: -search.total([h]) - search.odds(h) + h.log_evidence)
     wrong = replace(worse, log_evidence=better.log_evidence + 50.0)
     assert search.odds(wrong) > search.odds(better)
-    assert search.likelier([], better, wrong) is better
-    assert search.likelier([], wrong, better) is better
+    assert search.choose([], better, wrong) is better
+    assert search.choose([], wrong, better) is better
 
 
 def test_a_search_knows_that_drives_are_alike() -> None:

@@ -78,7 +78,7 @@ def learn_discrepancy(base: Likelihood) -> Discrepancy:
     widths = first.least_squares.rewidened(dry).hyper.rest_width
     for _ in range(_PASSES):
         fit, last, needed = _drop_curves(_with_widths(first, rows, curves, widths).renoised(), curves, before)
-        last = _or_widths_of(base, fit, last, rows, needed)
+        last = _compare_widths(base, fit, last, rows, needed)
         if (last.hyper.rest_width == widths).all():
             break
         widths = last.hyper.rest_width
@@ -124,7 +124,7 @@ def _with_widths(fit: Likelihood, rows: Rows, curves: Sequence[Hypothesis], widt
     return fit.with_(rest_width=widths).extended([new.get(k, e) for k, e in enumerate(fit.extra)])
 
 
-def _or_widths_of(
+def _compare_widths(
     base: Likelihood, fit: Likelihood, last: Likelihood, rows: Rows, curves: Sequence[Hypothesis]
 ) -> Likelihood:
     """Return a model with the width that the machine has alone, at each joint where that is likelier.

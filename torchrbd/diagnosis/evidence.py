@@ -139,7 +139,7 @@ class ModelEvidence:
         fit, model = self._model(chosen)
         return fit.log_evidence + self._prior(model, len(chosen))
 
-    def likelier(self, rest: Sequence[Hypothesis], a: Hypothesis, b: Hypothesis) -> Hypothesis:
+    def choose(self, rest: Sequence[Hypothesis], a: Hypothesis, b: Hypothesis) -> Hypothesis:
         """Return the likelier of two hypotheses, given others, each in its own model.
 
         Evidence is given bodies around which their prior is expanded. Two hypotheses may need different bodies.

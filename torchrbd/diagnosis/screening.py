@@ -84,7 +84,7 @@ def _or_agreeing(fit: Likelihood, rows: Rows, one: Hypothesis) -> Hypothesis:
     return max(found, key=lambda each: each.log_evidence)
 
 
-def of_each_kind(fit: Likelihood, rows: Rows, h: Hypothesis) -> list[Hypothesis]:
+def start_each_kind(fit: Likelihood, rows: Rows, h: Hypothesis) -> list[Hypothesis]:
     """Return a hypothesis, then one of each other kind, such as the side of a stop: at its shape, and at the best one.
 
     Kinds have no values between them, and each has shapes of its own: refining never leads from one to another.

@@ -262,7 +262,7 @@ class Search(ModelEvidence):
             allowed = (one for one in rivals if _kind(one) not in self._rejected)
             own = self.reshape(rest, h)
             best = max((own, *allowed), key=self.odds)
-            best = own if best is own else self.likelier(rest, own, best)
+            best = own if best is own else self.choose(rest, own, best)
             if key_of([best]) == key_of([h]):
                 self._known_rivals[known] = rivals
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]

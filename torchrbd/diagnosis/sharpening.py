@@ -17,7 +17,7 @@ from torchrbd.dataset.columns import Candidate
 from torchrbd.dataset.rows import Rows
 from torchrbd.dataset.shapes import ShapeSlope, slopes, varied
 from torchrbd.diagnosis.hypotheses import LEAST_GAIN, Hypothesis, agree_shape, hypothesis_of, prior_std
-from torchrbd.diagnosis.screening import of_each_kind, refine_shape
+from torchrbd.diagnosis.screening import refine_shape, start_each_kind
 from torchrbd.effects import Site
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import added
@@ -32,7 +32,7 @@ _WORSE = 2.0
 
 def best_shape(fit: Likelihood, rows: Rows, h: Hypothesis) -> Hypothesis:
     """Return a hypothesis at the best shape, or window, given a fit: the best of each kind."""
-    every = (_best_of_kind(fit, rows, one) for one in of_each_kind(fit, rows, h))
+    every = (_best_of_kind(fit, rows, one) for one in start_each_kind(fit, rows, h))
     return max(every, key=lambda one: one.log_evidence - one.paid)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from torchrbd.diagnosis.held_out_checks import BLOCK_S
 from torchrbd.diagnosis.proof import elpd_of_rows
 from torchrbd.diagnosis.results import Elpd
 from torchrbd.inference.physical.leave_out import FOLDS, contiguous_folds
@@ -18,14 +19,12 @@ from torchrbd.inference.results import TorqueSeries
 
 # Trees, rows of a leaf at least, and rows at most, evenly spaced.
 _TREES, _LEAF, _MOST_ROWS = 100, 5, 4000
-_BLOCK_S = 1.0
 
 
 def state_dependence(series: TorqueSeries, joint: int, model: str) -> Elpd:
     """Return what a forest of all states is worth as a model of a joint's residual, on left-out blocks of fitted time.
 
     Its inputs are q, qd and qdd of all joints, the direction of this joint, and the torque that is predicted for it.
-
     It is worth nothing where less than two seconds were fitted.
 
     Args:
@@ -37,7 +36,7 @@ def state_dependence(series: TorqueSeries, joint: int, model: str) -> Elpd:
 
     rows = np.flatnonzero(~series.held_out & np.isfinite(series.measured[:, joint]))
     rows = rows[:: max(1, len(rows) // _MOST_ROWS)]
-    places = np.stack((series.recording[rows], np.floor(series.t[rows] / _BLOCK_S)), 1)
+    places = np.stack((series.recording[rows], np.floor(series.t[rows] / BLOCK_S)), 1)
     block = np.unique(places, axis=0, return_inverse=True)[1].ravel()
     if block.max(initial=0) == 0:
         return Elpd(0.0, 0.0, 0.0, 0.0, 0.0)
