@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from likelihood.fits import URDF, at_joint, candidate, carried, fitted
+from likelihood.fits import URDF, at_joint, candidate, carried, fitted, with_friction
 from simulated import Motion, inverse_dynamics
 
 from torchrbd.diagnosis import search
@@ -36,6 +36,7 @@ EFFECTS = (
 ROTOR = at_joint(1, lambda m: 0.05 * m.qdd[:, 1])
 BOTH = at_joint(1, lambda m: 0.05 * m.qdd[:, 1] + 0.08 * np.sin(17.4 * m.q[:, 1] + 0.7))
 BUMP = at_joint(0, lambda m: 1.5 * np.exp(-(((m.q[:, 0] - np.median(m.q[:, 0])) / 0.15) ** 2)))
+LATE_S = 0.03
 PULL_SIZE, PULLS_S = 0.8, (6.2, 9.1)
 PULL = at_joint(0, lambda m: PULL_SIZE * ((m.t >= PULLS_S[0]) & (m.t < PULLS_S[1])))
 
@@ -266,3 +267,17 @@ def test_a_shape_that_physics_does_not_allow_has_no_evidence(settles_s: float, p
     assert one is not None
     (judged,) = Search(rows, [effect("time_varying_friction")], learn_discrepancy(fit)).evidence([], one)
     assert np.isfinite(judged.log_evidence) == possible
+
+
+def late_torque(m: Motion) -> np.ndarray:
+    """Return what a first joint's torque, friction included, lacks where it comes late."""
+    torque = (inverse_dynamics(URDF, m) + with_friction()(m))[:, 0]
+    return np.interp(m.t - LATE_S, m.t, torque) - torque
+
+
+def test_delayed_friction_is_no_other_law() -> None:
+    """Without the delay friction seems to change its sign over a wide range of speeds; so its width is learnt again."""
+    found, _ = searched(at_joint(0, late_torque), ("time_delay", "presliding_hysteresis", "torque_scale"))
+    (term,) = found.terms
+    assert term.own.name == ("time_delay", Site(0))
+    assert found.fit.hyper.rest_width[0] < 0.8 * found.base.hyper.rest_width[0]

@@ -58,6 +58,16 @@ class Discrepancy:
         """Return the log prior odds of one more curve where so many are there."""
         return curve_log_odds(present, len(self.tried), len(set(self.tried)))
 
+    def at_widths(self, rest_width: np.ndarray) -> Discrepancy:
+        """Return the same, with friction that changes its sign over other speeds (n,) [rad/s, m/s]."""
+        new = _friction_curves(self.rows, self.curves, self.extra, rest_width)
+        return replace(
+            self,
+            fit=self.fit.with_(rest_width=rest_width),
+            rows=self.rows.at_widths(rest_width),
+            extra=tuple(new.get(k, e) for k, e in enumerate(self.extra)),
+        )
+
 
 def learn_discrepancy(base: Likelihood) -> Discrepancy:
     """Learn amplitudes of curves, noise, drift, and the widths of friction's sign change.

@@ -32,6 +32,7 @@ from torchrbd.diagnosis.sharpening import best_shape
 from torchrbd.diagnosis.windows import PlaceFilter, anywhere
 from torchrbd.effects import Effect, Site, Window
 from torchrbd.likelihood.likelihood import Likelihood
+from torchrbd.likelihood.widths import trial_widths
 
 MOST_TERMS = 24
 # Hypotheses whose shapes are refined at each step, and rivals of a term; sweeps over all terms.
@@ -64,7 +65,8 @@ def search_effects(
     discrepancy = discrepancy or learn_discrepancy(base)
     search = Search(discrepancy.rows, effects, discrepancy, report)
     first = search.rank([])
-    chosen, last = search.improve([], first)
+    search, chosen, last = search.start(first)
+    chosen, last = search.improve(chosen, last)
     for _ in range(_LOADS):
         now = None if is_over() else search.with_own_load(chosen)
         if now is None:
@@ -172,6 +174,18 @@ class Search(ModelEvidence):
         known = [(given, one) for given in self.with_and_without_curves(rest) if (one := again(given, self.rows, h))]
         return self.judge(rest, [h, *(best_shape(given, self.rows, one) for given, one in known)])[0]
 
+    def start(self, found: list[Hypothesis]) -> tuple[Search, list[Hypothesis], list[Hypothesis]]:
+        """Return the search, its model when this first depends on its own load, and what may be added to that.
+
+        Other terms would be compared with features of a load that the model no longer has.
+        """
+        chosen, found = self._add([], found, self._drop_needless, until=_uses_load)
+        own = None if is_over() else self.with_own_load(chosen)
+        if own is None:
+            return self, chosen, found
+        search, chosen = own
+        return search, chosen, search.rank(chosen)
+
     def improve(self, chosen: list[Hypothesis], found: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return the terms of a model, and what else was considered: add, then swap and drop, until nothing changes."""
         chosen, found = self._add(chosen, found, self._drop_needless)
@@ -188,7 +202,11 @@ class Search(ModelEvidence):
         return chosen, found
 
     def _add(
-        self, chosen: list[Hypothesis], found: list[Hypothesis], drop: Drop
+        self,
+        chosen: list[Hypothesis],
+        found: list[Hypothesis],
+        drop: Drop,
+        until: Callable[[list[Hypothesis]], bool] = lambda _: False,
     ) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return a model with what is likelier than not, and what was not added.
 
@@ -198,9 +216,10 @@ class Search(ModelEvidence):
             chosen: the model.
             found: all that may be added.
             drop: what drops terms again.
+            until: says of a model that nothing more is to be added.
         """
         dropped, all_found = set[Candidate](), True
-        while len(chosen) < MOST_TERMS and not is_over():
+        while len(chosen) < MOST_TERMS and not is_over() and not until(chosen):
             leaders = self._leaders(h for h in found if h.candidate not in dropped)[: MOST_TERMS - len(chosen)]
             if not leaders and all_found:
                 break
@@ -246,9 +265,24 @@ class Search(ModelEvidence):
             k = min(laws, key=laws.__getitem__, default=None)
             if k is None or laws[k] > 0.0:
                 break
-            self._rejected[_kind(chosen[k])] = laws[k]
-            chosen = without(chosen, k)
+            proxy = self._proxy_of(chosen, k)
+            if proxy == k:
+                self._rejected[_kind(chosen[k])] = laws[k]
+            chosen = without(chosen, proxy)
         return chosen
+
+    def _proxy_of(self, chosen: Sequence[Hypothesis], k: int) -> int:
+        """Return which term is in the place of the k-th, which does not predict left-out blocks given it; k if none is.
+
+        Of two terms that explain the same neither predicts more than the other. The less likely one goes.
+        """
+        h = chosen[k]
+        for m, other in enumerate(chosen):
+            if m != k and meet(h.candidate, other.candidate) and not is_curve(other.candidate):
+                rest = [one for i, one in enumerate(chosen) if i not in (k, m)]
+                if self.choose(rest, other, h) is h:
+                    return m
+        return k
 
     def _swap(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
         """Return terms, each the likeliest of itself, at its best shape, and its rivals, given all others."""
@@ -287,15 +321,33 @@ class Search(ModelEvidence):
 
     def with_own_load(self, chosen: list[Hypothesis]) -> tuple[Search, list[Hypothesis]] | None:
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""
-        if not any(h.candidate.effect.uses_load for h in chosen):
+        if not _uses_load(chosen):
             return None
-        rows = rows_with_load(self.fit(chosen))
-        other = Search(rows, self.effects, self.discrepancy, self._report, self._done, self._rejected)
+        other = self._among(rows_with_load(self.fit(chosen)), self.discrepancy)._with_own_widths(chosen)
         onwards = chosen
         for k, h in enumerate(chosen):
             if h.candidate.effect.uses_load:
                 onwards = [*onwards[:k], other.reshape(without(onwards, k), h), *onwards[k + 1 :]]
         return (other, onwards) if other.total(onwards) > self.total(chosen) + _SAME else None
+
+    def _with_own_widths(self, chosen: Sequence[Hypothesis]) -> Search:
+        """Return the search with the likeliest widths of friction where a term of a model depends on friction.
+
+        Without such a term, as a delay, friction seems to change its sign over a range of speeds.
+        """
+        best, width = self, self.discrepancy.fit.hyper.rest_width
+        effects_sites = ((h.candidate.effect, h.candidate.site) for h in chosen)
+        joints = {site.joint for effect, site in effects_sites if effect.sees_friction and site.always} - {None}
+        for j in sorted(joints):
+            for one in trial_widths(self.rows)[:, j]:
+                widths = np.where(np.arange(len(width)) == j, one, best.discrepancy.fit.hyper.rest_width)
+                other = self._among(self.rows.at_widths(widths), self.discrepancy.at_widths(widths))
+                best = max(best, other, key=lambda search: search.total(chosen))
+        return best
+
+    def _among(self, rows: Rows, discrepancy: Discrepancy) -> Search:
+        """Return the search with other features, curves and noise."""
+        return Search(rows, self.effects, discrepancy, self._report, self._done, self._rejected)
 
     def terms(self, chosen: list[Hypothesis]) -> tuple[Term, ...]:
         """Return laws with their rivals, then curves: those that the discrepancy still needs, and others."""
@@ -350,6 +402,10 @@ def _where_to_look(site: Site) -> Site:
     """Return a site as a filter of places knows it."""
     window = None if site.window is None else Window(site.window.recording)
     return replace(site, window=window, recordings=None if site.recordings is None else ())
+
+
+def _uses_load(chosen: Iterable[Hypothesis]) -> bool:
+    return any(h.candidate.effect.uses_load for h in chosen)
 
 
 def _kind(h: Hypothesis) -> Kind:

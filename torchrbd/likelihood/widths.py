@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
+from torchrbd.dataset.rows import Rows
 from torchrbd.likelihood.extra import Extra
 from torchrbd.likelihood.gaussian import Gaussian, added
 from torchrbd.likelihood.machine import Machine
@@ -13,7 +14,13 @@ from torchrbd.likelihood.noise import Noise
 from torchrbd.nuisance.directions import STICKS
 
 # Fractions of a joint's RMS speed.
-_WIDTHS = tuple(np.geomspace(0.003, 0.45, 18).tolist())
+_WIDTHS = np.geomspace(0.003, 0.45, 18)
+
+
+def trial_widths(rows: Rows) -> np.ndarray:
+    """Return widths (K, n) that are compared, from small to large; none is below the error of the velocity."""
+    speed = np.sqrt(np.mean(rows.qd**2, axis=1))
+    return np.hypot(np.multiply.outer(_WIDTHS, speed), rows.speed_std)
 
 
 DryFriction = Callable[[np.ndarray], Mapping[int, Extra]]
@@ -40,12 +47,10 @@ def likeliest_widths(
         also: additional friction.
         at: returns the coefficients of additional columns, by their number.
     """
-    speed, error = np.sqrt(np.mean(machine.rows.qd**2, axis=1)), machine.rows.speed_std
-    first = {k: e.place for k, e in also(error).items()}
+    first = {k: e.place for k, e in also(machine.rows.speed_std).items()}
     rest = {j: fit.among(_others(machine, fit, j, [at(k) for k, place in first.items() if place == j])) for j in joints}
     found = {j: list[tuple[float, float]]() for j in joints}
-    for part in _WIDTHS:
-        widths = np.hypot(part * speed, error)
+    for widths in trial_widths(machine.rows):
         curves = also(widths).values()
         for j, width in zip(joints, widths[list(joints)].tolist(), strict=True):
             F, held = machine.directions.sign(j, width), machine.directions.held(j, width)
