@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 import pytest
 from likelihood.arms import Torque, arm_urdf, driven_columns, wrong_robot
-from simulated import joint_names
+from simulated import Motion, inverse_dynamics, joint_names
 
 import torchrbd
 
@@ -18,11 +19,21 @@ pytestmark = pytest.mark.usefixtures("fit_alone")
 URDF = arm_urdf(0, 2)
 VISCOUS, COULOMB, ROTOR, WIDTH = np.array([0.4, 0.2]), np.array([1.0, 0.3]), np.array([0.2, 0.05]), 0.02
 KP, KD = np.array([60.0, 25.0]), np.array([2.0, 0.8])
+MASS, CENTRE = 4.0, (0.05, 0.2, 0.1)
 OPTIONS = {"duration_s": 20.0, "rate_hz": 200.0}
 
 
 def friction_and_rotors(m) -> np.ndarray:
     return VISCOUS * m.qd + COULOMB * np.tanh(m.qd / WIDTH) + ROTOR * m.qdd
+
+
+def load(m: Motion) -> np.ndarray:
+    """Return the torque of a point mass on the last link, by Pinocchio."""
+    model = pin.buildModelFromXML(URDF)
+    model.inertias[2] = model.inertias[2] + pin.Inertia(MASS, np.array(CENTRE), np.zeros((3, 3)))
+    data = model.createData()
+    loaded = np.stack([pin.rnea(model, data, *row).copy() for row in zip(m.q, m.qd, m.qdd, strict=True)])
+    return loaded - inverse_dynamics(URDF, m)
 
 
 def case(folder: Path, delay_s: float, extra: Torque = friction_and_rotors, **drives: Mapping[str, float]) -> Path:
@@ -78,3 +89,91 @@ def test_rotors_of_drives_are_estimated_with_friction(diagnosis):
     assert rotor.value == pytest.approx(ROTOR[1], abs=4 * rotor.std)
     assert {e for e, _ in found} <= {"viscous_friction", "coulomb_friction", "rotor_inertia"}
     assert not diagnosis.unexplained
+
+
+def unknown(folder: Path, kd: bool = True) -> Path:
+    """Write a mapping that leaves the stiffness of both drives open."""
+    keys = [f"kp: estimate{f', kd: {d}' if kd else ''}" for d in KD]
+    lines = [f"  {name}: {{drive: {{{own}}}}}" for name, own in zip(joint_names(URDF), keys, strict=True)]
+    file = folder / f"open{'-kd' if kd else ''}.yaml"
+    file.write_text("\n".join(["joints:", *lines]))
+    return file
+
+
+def gains_of(folder: Path, robot: torchrbd.RobotModel | str, **options: object) -> dict[str, torchrbd.recordings.Gain]:
+    options = {"mapping": unknown(folder), "holdout": folder / "test.csv"} | options
+    return {gain.joint: gain for gain in torchrbd.identify(robot, folder / "fit.csv", **options).gains}
+
+
+def test_unknown_gains_are_estimated(tmp_path):
+    """Bodies of the URDF set the scale: if they are right and certain, so are the gains."""
+    folder, names = case(tmp_path, 0.0), joint_names(URDF)
+    found = gains_of(folder, URDF)
+    sure = gains_of(folder, URDF, trust=torchrbd.RobotModel.from_urdf(URDF).body_names)
+    for joint, truth in zip(names, KP, strict=True):
+        assert found[joint].kind == "kp"
+        assert found[joint].low < truth < found[joint].high
+        assert sure[joint].value == pytest.approx(truth, rel=0.01)
+        assert 1.0 < sure[joint].high / sure[joint].low < 1.1 < found[joint].high / found[joint].low
+
+
+def test_gains_of_wrong_bodies_lie_within_their_intervals(tmp_path):
+    folder = case(tmp_path, 0.0)
+    for seed in range(1, 4):
+        found = gains_of(folder, wrong_robot(URDF, seed), mapping=unknown(folder, kd=False))
+        for joint, truth in zip(joint_names(URDF), KP, strict=True):
+            assert found[joint].low < truth < found[joint].high
+
+
+def test_a_drive_with_damping_is_at_least_as_stiff_as_its_damping_asks(tmp_path):
+    """All friction in proportion to speed is at least kd."""
+    folder = case(tmp_path, 0.0)
+    free, damped = (gains_of(folder, URDF, mapping=unknown(folder, kd=kd)) for kd in (False, True))
+    for joint in joint_names(URDF):
+        assert damped[joint].low > free[joint].low
+
+
+def test_a_known_load_makes_the_gains_more_certain(tmp_path):
+    folder = case(tmp_path, 0.0)
+    columns = driven_columns(URDF, 7, lambda m: friction_and_rotors(m) + load(m), KP, KD, **OPTIONS)
+    pd.DataFrame(columns).to_csv(folder / "load.csv", index=False)
+    recordings = [folder / "fit.csv", folder / "load.csv"]
+    options = {"mapping": unknown(folder, kd=False), "holdout": folder / "test.csv"}
+    told = torchrbd.identify(URDF, recordings, payload=f"load.csv={MASS},{','.join(map(str, CENTRE))}", **options).gains
+    alone = gains_of(folder, URDF, mapping=options["mapping"])
+    for gain, truth in zip(told, KP, strict=True):
+        assert gain.low < truth < gain.high
+        assert gain.high / gain.low < alone[gain.joint].high / alone[gain.joint].low
+
+
+def test_torque_constants_are_estimated_from_currents(tmp_path):
+    folder, names, constants = case(tmp_path, 0.0), joint_names(URDF), (0.08, 0.2)
+    for file in ("fit.csv", "test.csv"):
+        table = pd.read_csv(folder / file)
+        for name, kp, kd, constant in zip(names, KP, KD, constants, strict=True):
+            error = table.pop(f"q_ref_{name}") - table[f"q_{name}"]
+            table[f"i_{name}"] = (kp * error - kd * table[f"qd_{name}"]) / (constant * 50.0)
+        table.to_csv(folder / file, index=False)
+    signal = "{current: 'i_{joint}', torque_constant: estimate, gear_ratio: 50}"
+    (folder / "amps.yaml").write_text(f"joints:\n  '*': {{tau: {signal}}}")
+    found = gains_of(folder, URDF, mapping=folder / "amps.yaml", trust=torchrbd.RobotModel.from_urdf(URDF).body_names)
+    for name, truth in zip(names, constants, strict=True):
+        assert found[name].kind == "torque_constant"
+        assert found[name].value == pytest.approx(truth, rel=0.05)
+
+
+def test_other_commands_ask_for_the_gain(tmp_path):
+    folder = case(tmp_path, 0.0)
+    robot = wrong_robot(URDF, 1)
+    found = torchrbd.identify(robot, folder / "fit.csv", holdout=folder / "test.csv", mapping=unknown(folder))
+    assert any("estimated gains" in note for note in found.notes)
+    found.model.save(folder / "model.safetensors")
+    with pytest.raises(torchrbd.errors.RecordingError, match="leaves the gain of .* write the number"):
+        torchrbd.replay(folder / "model.safetensors", folder / "test.csv", mapping=unknown(folder))
+
+
+def test_damping_cannot_be_estimated(tmp_path):
+    folder = case(tmp_path, 0.0)
+    (folder / "kd.yaml").write_text("joints:\n  '*': {drive: {kp: estimate, kd: estimate}}")
+    with pytest.raises(torchrbd.errors.RecordingError, match="line 2.*kd.*cannot be distinguished from viscous"):
+        torchrbd.identify(URDF, folder / "fit.csv", mapping=folder / "kd.yaml")

@@ -12,7 +12,7 @@ from torchrbd.dataset.block_statistics import BlockStatistics, block_statistics
 from torchrbd.dataset.columns import Columns
 from torchrbd.dataset.simulated import Simulated
 from torchrbd.model import OTHERS, Condition
-from torchrbd.recordings import TILE_ROWS, Filtering, Recording, States, Survey, tiles
+from torchrbd.recordings import TILE_ROWS, Filtering, Gain, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 
 Progress = Callable[[str, float], None]
@@ -39,6 +39,7 @@ class Reading:
         delay_s: by recording, delay of its torque relative to its motion [s]; the torque is read earlier by that.
         lag_s: by recording, time constant of the actuators, if its torque is their command [s]; the torque that they
             supply is read. In both, the key "" is for recordings that are not among these.
+        gains: estimated factors of torques.
         raw: whether torques are read as recorded, and states filtered. Only a simulator's torque beyond the URDF, and
             that of rotors and springs in the robot's description, are subtracted.
     """
@@ -53,6 +54,7 @@ class Reading:
     smoothed: tuple[StateEstimate, ...] = ()
     delay_s: Mapping[str, float] = field(default_factory=dict)
     lag_s: Mapping[str, float] = field(default_factory=dict)
+    gains: tuple[Gain, ...] = ()
     raw: bool = False
 
     @property

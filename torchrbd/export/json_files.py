@@ -248,6 +248,8 @@ def _head(result: Identification) -> dict[str, Any]:
     closed_loop: the same for drives that follow the recorded set-points, over whole motions: seconds, held_out, errors
         by model and joint (root mean square distance from the recorded positions), tracking by joint (root mean square
         of the recorded difference of set-point and position). Null without drives.
+    gains: estimated stiffness of drives (kind kp) and torque constants of motors: list of joint, kind, value, low, high
+        (95 % interval). Empty where they are given.
     """
     return {
         "schema": SCHEMA,
@@ -265,6 +267,7 @@ def _head(result: Identification) -> dict[str, Any]:
         "notes": [*result.doubts, *result.notes],
         "simulation": [_motion(one, result.robot) for one in result.simulation],
         "closed_loop": None if result.closed_loop is None else asdict(result.closed_loop),
+        "gains": [asdict(one) for one in result.gains],
     }
 
 

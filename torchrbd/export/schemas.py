@@ -70,7 +70,7 @@ def _diagnosis() -> dict[str, Any]:
         "suspicions_tested": tuple[str, ...],
     }
     head |= {"suspicions": get_type_hints(other["suspicions"])["found"], "simulation": other["simulation"]}
-    head |= {"closed_loop": other["closed_loop"]}
+    head |= {name: other[name] for name in ("closed_loop", "gains")}
     keys: dict[str, Any] = {name: (kind, ...) for name, kind in (head | parts).items()}
     adapter = TypeAdapter(create_model("Diagnosis", **keys))
     made = adapter.json_schema(mode="serialization")

@@ -21,6 +21,7 @@ from torchrbd.inference.results import (
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicions
 from torchrbd.inference.torque_error import Fit
 from torchrbd.model import RigidBodyDynamics
+from torchrbd.recordings import Gain
 from torchrbd.robot import RobotModel
 from torchrbd.simulation import ClosedLoop, MotionError
 
@@ -55,6 +56,7 @@ class Identification(Displayed):
         simulation: by length of the window, how far models move from the recorded motion; empty where unknown, and for
             robots with drives.
         closed_loop: how far models with drives move from it under the recorded set-points; None without drives.
+        gains: of drives and motors, where they were to be estimated; all torques of these joints are in proportion.
         finished: whether the search came to its end; False if a time limit or the user ended it before.
     """
 
@@ -80,6 +82,7 @@ class Identification(Displayed):
     suspicions: Suspicions = NO_SUSPICIONS
     simulation: tuple[MotionError, ...] = field(default=())
     closed_loop: ClosedLoop | None = None
+    gains: tuple[Gain, ...] = ()
     finished: bool = True
 
     @property

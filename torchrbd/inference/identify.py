@@ -261,6 +261,7 @@ def summarise(
         suspicions=suspected,
         simulation=simulation.errors,
         closed_loop=loop,
+        gains=prepared.reading.gains,
     )
 
 

@@ -9,7 +9,7 @@ bias a fit on filtered states, the states are smoothed together with the paramet
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,7 @@ from torchrbd.effects import Effect, Site
 from torchrbd.effects.requested import requested_sites
 from torchrbd.errors import RecordingError
 from torchrbd.inference.data.bodies import check_masses
+from torchrbd.inference.data.gains import with_estimated_gains
 from torchrbd.inference.data.holdout import held_out_blocks
 from torchrbd.inference.data.notes import input_notes, rest_notes
 from torchrbd.inference.data.opening import open_all, open_simulated
@@ -164,7 +165,7 @@ def prepare(
         RobotError, RecordingError, OptionError: input that cannot be used.
     """
     check_masses(robot)
-    reading, found = read(robot, recordings, settings, progress)
+    reading, found = read(robot, recordings, settings, progress, with_gains=True)
     opened, surveys, filtering, simulated = reading.recordings, reading.surveys, reading.filtering, reading.simulated
     sites, windows = requested_sites(settings.requested_effects(), robot, [r.name for r in opened])
     unloaded = [e for e in effects if not e.uses_load]
@@ -201,6 +202,7 @@ def prepare(
         input_noise=input_noise(reading, columns, training, rough),
         states=None,
         facts=(
+            *_gain_notes(reading),
             *simulation_notes(simulated),
             *input_notes(columns, surveys, filtering, prior, held, used & (weight == 0)),
             *rest_notes(training),
@@ -211,13 +213,27 @@ def prepare(
     return prepared
 
 
+def _gain_notes(reading: Reading) -> list[Remark]:
+    """Return what is to be known of estimated gains."""
+    sliding = dict(zip(reading.robot.joint_names, reading.robot.prismatic.tolist(), strict=True))
+    per = {"kp": ("N m/rad", "N/m"), "torque_constant": ("N m/A", "N/A")}
+    units = [per[gain.kind][sliding[gain.joint]] for gain in reading.gains]
+    return [Remark("estimated gains", {"gains": [*map(asdict, reading.gains)], "units": units})] if units else []
+
+
 def read(
     robot: RobotModel,
     recordings: Sequence[RecordingSource | InMemory],
     settings: Settings,
     progress: Progress = lambda *_: None,
+    *,
+    with_gains: bool = False,
 ) -> tuple[Reading, list[Survey]]:
     """Open recordings, look through them, and decide how they are read.
+
+    Args:
+        robot, recordings, settings, progress: see ``prepare``.
+        with_gains: whether unknown gains are estimated; if not, recordings that have some cannot be used.
 
     Returns:
         how they are read, and what each shows, whatever the user knows of its noise.
@@ -227,6 +243,9 @@ def read(
     """
     opened, noise, found = open_all(robot, recordings, settings), settings.known_encoder_noise(robot).numpy(), []
     simulations = open_simulated(robot, settings, opened)
+    gains = ()
+    if with_gains:
+        opened, gains = with_estimated_gains(robot, opened, len(recordings), settings, progress)
     for k, recording in enumerate(opened):
         progress("looking through the recordings", k / len(opened))
         found.append(survey(recording))
@@ -235,6 +254,7 @@ def read(
     opened, surveys, simulated = _simulated(robot, opened, surveys, simulations, filtering, progress)
     payload = payload_parameters(robot, [r.name for r in opened], settings.payload)
     reading = Reading(robot, opened, tuple(surveys), filtering, settings.used_joints(robot), payload, simulated)
+    reading = replace(reading, gains=gains)
     low_pass = find_low_pass(reading, fitted=len(recordings))
     if low_pass is not None:
         cutoff_hz = settings.cutoff_hz or min(filtering.cutoff_hz, low_pass.end_hz)

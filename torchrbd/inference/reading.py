@@ -18,7 +18,7 @@ _KEYS = {
 }  # fmt: skip
 _PLAIN = (
     "recordings", "held_out", "cutoff_hz", "fits", "verdict", "parameters", "combinations", "base", "noise",
-    "regime", "remarks", "facts", "simulation", "closed_loop",
+    "regime", "remarks", "facts", "simulation", "closed_loop", "gains",
 )  # fmt: skip
 
 

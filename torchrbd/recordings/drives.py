@@ -23,15 +23,40 @@ class Drive:
         kp: stiffness [N m/rad, N/m].
         kd: damping [N m s/rad, N s/m].
         limit: greatest torque or force of either sign [N m, N]; infinity without a limit.
+
+    NaN as stiffness is one that is to be estimated.
     """
 
     kp: float
     kd: float = 0.0
     limit: float = math.inf
 
+    @property
+    def is_known(self) -> bool:
+        """Whether its stiffness is known."""
+        return not math.isnan(self.kp)
+
     def torque(self, error: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the torque [N m, N] for position errors q_ref - q and velocities of one shape [rad, m, per s]."""
         return np.clip(self.kp * error - self.kd * qd, -self.limit, self.limit)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """An estimated factor between what is recorded of a joint and its torque.
+
+    Attributes:
+        joint: its joint.
+        kind: "kp", the stiffness of a drive [N m/rad, N/m], or "torque_constant" of a motor [N m/A, N/A].
+        value: median.
+        low, high: 95 % interval.
+    """
+
+    joint: str
+    kind: str
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -72,6 +97,19 @@ class Drives:
     def limits(self) -> np.ndarray:
         """Greatest torque (n,), infinite for joints without a drive or a limit."""
         return np.array([self.of[joint].limit if joint in self.of else math.inf for joint in self.joints])
+
+    @property
+    def unknown(self) -> list[str]:
+        """Joints whose stiffness is to be estimated."""
+        return [joint for joint, drive in self.of.items() if not drive.is_known]
+
+    def with_stiffness(self, kp: Mapping[str, float]) -> Drives:
+        """Return the same drives with the stiffness of some joints."""
+        return replace(self, of={j: replace(d, kp=kp[j]) if j in kp else d for j, d in self.of.items()})
+
+    def following(self) -> Drives:
+        """Return drives whose torque is the position error, where the stiffness is to be estimated."""
+        return replace(self, of={j: d if d.is_known else Drive(1.0) for j, d in self.of.items()})
 
     def of_joints(self, joints: Sequence[str]) -> Drives:
         """Return the same drives for another order of the joints."""

@@ -10,6 +10,8 @@ from torchrbd.errors import RecordingError, closest
 from torchrbd.recordings.drives import Drive
 
 SIGNALS = ("q", "qd", "qdd", "tau", "q_ref", "q_link", "temperature")
+ESTIMATE = "estimate"
+"""In a mapping, in place of a number that ``identify`` and ``diagnose`` estimate."""
 _EVERY_JOINT = "*"
 _DEG = math.pi / 180
 _TURN = 2 * math.pi
@@ -30,12 +32,14 @@ class Source:
     """The column of a signal: `signal = scale * column + offset`, in SI units.
 
     A torque may come from a motor current. Its scale is then the torque constant times the gear ratio [N m/A, N/A].
+    If the torque constant is to be estimated, ``is_known`` is False, and the scale is that for 1 N m/A.
     """
 
     column: str
     scale: float = 1.0
     offset: float = 0.0
     is_current: bool = False
+    is_known: bool = True
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 from torchrbd.errors import RecordingError
 from torchrbd.recordings.checked_yaml import Keys, Number, check_key, checked, read_yaml, wrong
 from torchrbd.recordings.drives import Drive
-from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
+from torchrbd.recordings.mapping import CURRENT_UNITS, ESTIMATE, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
 
 _LONGEST_DELAY_S = 1.0
 
@@ -90,6 +90,19 @@ def _joints(value: Any) -> Any:
     return value
 
 
+def _damping(value: Any) -> Any:
+    if value == ESTIMATE:
+        raise wrong("it cannot be distinguished from viscous friction: leave kd out, and viscous friction includes it")
+    return value
+
+
+def _or_estimate(check: Any) -> Any:
+    """Return the pydantic type of a number that passes a check, or of the word that leaves it to the data."""
+    number: Any = Annotated[Number, AfterValidator(check), Tag("number")]
+    word: Any = Annotated[Literal["estimate"], Tag("word")]
+    return Annotated[number | word, Discriminator(lambda value: "word" if value == ESTIMATE else "number")]
+
+
 Column = Annotated[str, BeforeValidator(_column)]
 Factor = Annotated[Number, AfterValidator(_not_zero)]
 
@@ -148,7 +161,9 @@ class Current(Changes):
         "current": "'current' is missing: the name of its column",
     }
     current: Column = Field(description="name of the column of the current; {joint} and {index} are filled in")
-    torque_constant: Factor = Field(description="torque of the motor for one ampere [N m / A]")
+    torque_constant: _or_estimate(_not_zero) = Field(  # type: ignore[valid-type]
+        description="torque of the motor for one ampere [N m / A]; or estimate"
+    )
     unit: _unit(CURRENT_UNITS) = Field("A", description="unit of the current: A, mA")  # type: ignore[valid-type]
 
 
@@ -172,9 +187,11 @@ def _one_of(kind: str, words: str) -> Any:
 class DriveKeys(Keys):
     """A position drive, whose torque is computed: tau = kp (q_ref - q) - kd qd, clipped to the limit."""
 
-    missing: ClassVar[dict[str, str]] = {"kp": "a drive needs its stiffness kp [N m/rad]"}
-    kp: Annotated[Number, AfterValidator(_positive)] = Field(description="stiffness [N m/rad, N/m]")
-    kd: Annotated[Number, AfterValidator(_not_negative)] = Field(0.0, description="damping [N m s/rad, N s/m]")
+    missing: ClassVar[dict[str, str]] = {"kp": "a drive needs its stiffness kp [N m/rad], or 'kp: estimate'"}
+    kp: _or_estimate(_positive) = Field(description="stiffness [N m/rad, N/m]; or estimate")  # type: ignore[valid-type]
+    kd: Annotated[Number, BeforeValidator(_damping), AfterValidator(_not_negative)] = Field(
+        0.0, description="damping [N m s/rad, N s/m]"
+    )
     limit: Annotated[Number, AfterValidator(_positive)] | None = Field(
         None, description="greatest torque or force of either sign [N m, N]; none by default"
     )
@@ -252,6 +269,7 @@ def read_mapping(path: str | Path) -> Mapping:
     torque_constant * gear_ratio`. Offsets are added last, in SI units of the joint.
 
     `drive: {kp, kd, limit}` in place of `tau` is a position drive that follows `q_ref`. Its torque is computed.
+    `kp: estimate` and `torque_constant: estimate` leave these to `identify` and `diagnose`.
 
     `topic` chooses a topic of a ROS bag or PlotJuggler export, `episodes: [0, 3]` those of a LeRobot data set.
     `torque_delay: 0.004` is the delay [s] of written torques relative to the positions that they belong to; it is
@@ -275,7 +293,8 @@ def read_mapping(path: str | Path) -> Mapping:
 
 
 def _drive(keys: DriveKeys) -> Drive:
-    return Drive(keys.kp, keys.kd, math.inf if keys.limit is None else keys.limit)
+    kp = math.nan if keys.kp == ESTIMATE else keys.kp
+    return Drive(kp, keys.kd, math.inf if keys.limit is None else keys.limit)
 
 
 def _source(entry: Any, signal: str) -> Source:
@@ -283,8 +302,9 @@ def _source(entry: Any, signal: str) -> Source:
     if isinstance(entry, str):
         return Source(entry)
     if isinstance(entry, Current):
-        scale = entry.factor() * entry.torque_constant * CURRENT_UNITS[entry.unit]
-        return Source(entry.current, scale * entry.gear_ratio, entry.offset, is_current=True)
+        known = entry.torque_constant != ESTIMATE
+        scale = entry.factor() * (entry.torque_constant if known else 1.0) * CURRENT_UNITS[entry.unit]
+        return Source(entry.current, scale * entry.gear_ratio, entry.offset, is_current=True, is_known=known)
     scale = entry.factor() * UNITS[signal][entry.unit]  # type: ignore[attr-defined]
     scale = scale * entry.gear_ratio if signal == "tau" else scale / entry.gear_ratio
     return Source(entry.column, scale, entry.offset)

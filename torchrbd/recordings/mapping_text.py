@@ -8,7 +8,7 @@ import math
 from torchrbd.recordings.drives import Drive
 from torchrbd.recordings.guessing import guess, unit_in_name
 from torchrbd.recordings.inspection import Inspection
-from torchrbd.recordings.mapping import CURRENT_UNITS, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
+from torchrbd.recordings.mapping import CURRENT_UNITS, ESTIMATE, SIGNALS, TIME_UNITS, UNITS, Mapping, Source
 
 _UNITS = {
     "q": "rad",
@@ -122,7 +122,9 @@ def _guessed_torque(signals: dict[str, str]) -> list[str]:
 
 def _entry(source: Source, unit: str) -> str:
     if source.is_current:
-        keys = [f"current: {json.dumps(source.column)}", "unit: A", f"torque_constant: {abs(source.scale)!r}"]
+        constant = repr(abs(source.scale)) if source.is_known else ESTIMATE
+        keys = [f"current: {json.dumps(source.column)}", "unit: A", f"torque_constant: {constant}"]
+        keys += [f"gear_ratio: {abs(source.scale)!r}"] * (not source.is_known)
         keys += ["sign: -1"] * (source.scale < 0.0) + [f"offset: {source.offset!r}"] * (source.offset != 0.0)
         return f"{{{', '.join(keys)}}}  # torque_constant includes the gear ratio"
     keys = [f"column: {json.dumps(source.column)}", f"unit: {unit}"]
@@ -133,7 +135,7 @@ def _entry(source: Source, unit: str) -> str:
 
 
 def _drive(drive: Drive) -> str:
-    keys = [f"kp: {drive.kp!r}", f"kd: {drive.kd!r}"]
+    keys = [f"kp: {drive.kp!r}" if drive.is_known else f"kp: {ESTIMATE}", f"kd: {drive.kd!r}"]
     keys += [f"limit: {drive.limit!r}"] * math.isfinite(drive.limit)
     return f"{{{', '.join(keys)}}}"
 

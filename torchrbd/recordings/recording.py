@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -16,7 +16,8 @@ from torchrbd.recordings.drives import Drives
 from torchrbd.recordings.formats.opening import open_table
 from torchrbd.recordings.formats.table import ArrayTable, Table
 from torchrbd.recordings.layouts import with_layout
-from torchrbd.recordings.mapping import Mapping, Source
+from torchrbd.recordings.mapping import Mapping as ColumnMapping
+from torchrbd.recordings.mapping import Source
 from torchrbd.recordings.matching import PARTIAL_SIGNALS, match
 from torchrbd.recordings.memory import Data, memory_table
 
@@ -49,6 +50,37 @@ class Recording:
     _sources: dict[str, tuple[Source, ...]]
     _there: dict[str, np.ndarray]
     torque_delay_s: float = 0.0
+
+    @property
+    def unknown_gains(self) -> tuple[str, ...]:
+        """Joints whose torque has a factor that is to be estimated: a drive's stiffness, a motor's torque constant."""
+        pairs = zip(self._joints_with("tau"), self._sources.get("tau", ()), strict=True)
+        unknown = {*self.drives.unknown, *(joint for joint, source in pairs if not source.is_known)}
+        return tuple(joint for joint in self.joints if joint in unknown)
+
+    def with_gains(self, gains: Mapping[str, float]) -> Recording:
+        """Return the recording with factors of torques that were to be estimated, by joint.
+
+        Args:
+            gains: stiffness of drives [N m/rad, N/m], torque constants of motors [N m/A, N/A].
+        """
+        return replace(
+            self, drives=self.drives.with_stiffness(gains), _sources=self._sources | self._scaled_currents(gains)
+        )
+
+    @property
+    def in_own_units(self) -> Recording:
+        """The same with factors of one: position errors [rad, m] and currents [A] in place of unknown torques."""
+        currents = self._scaled_currents(dict.fromkeys(self.unknown_gains, 1.0))
+        return replace(self, drives=self.drives.following(), _sources=self._sources | currents)
+
+    def _scaled_currents(self, gains: Mapping[str, float]) -> dict[str, tuple[Source, ...]]:
+        """Return the sources of torques, those of unknown torque constants with these."""
+        found = list[Source]()
+        for joint, source in zip(self._joints_with("tau"), self._sources.get("tau", ()), strict=True):
+            known = source.is_known or joint not in gains
+            found.append(source if known else replace(source, scale=gains[joint] * source.scale, is_known=True))
+        return {"tau": tuple(found)} if found else {}
 
     @property
     def measured(self) -> np.ndarray:
@@ -130,7 +162,7 @@ class Recording:
             for index, joint in enumerate(joints):
                 if signal not in PARTIAL_SIGNALS or not np.isnan(array[:, index]).all():
                     columns[f"{signal}_{joint}"] = array[:, index]
-        return connect(name, None, ArrayTable(columns), joints, Mapping(), None)
+        return connect(name, None, ArrayTable(columns), joints, ColumnMapping(), None)
 
     def of_joints(self, joints: Sequence[str], time: tuple[float, float] | None = None) -> Recording:
         """Return the recording with its joints in another order, and only a part of it if `time` is given.
@@ -168,8 +200,14 @@ class Recording:
     def chunks(self, rows: int = 16384) -> Iterator[Chunk]:
         """Yield the rows in chunks of at most about `rows`.
 
-        Raises: RecordingError naming the column and data row of an infinite value or of a time that goes backwards.
+        Raises: RecordingError naming the column and data row of an infinite value or of a time that goes backwards, or
+        the joints whose torque has an unknown factor.
         """
+        if unknown := self.unknown_gains:
+            raise RecordingError(
+                f"{self.path or self.name}: the mapping leaves the gain of {', '.join(unknown)} to 'torchrbd identify' "
+                "and 'diagnose'; for other commands, write the number that these report in place of 'estimate'"
+            )
         found = self._as_written(rows)
         return self.drives.with_torque(found) if self.drives.of else found
 
@@ -250,7 +288,7 @@ def open_recording(
     source: str | Path | Data,
     joints: Sequence[str],
     *,
-    mapping: Mapping | None = None,
+    mapping: ColumnMapping | None = None,
     time: tuple[float, float] | None = None,
     name: str | None = None,
 ) -> Recording:
@@ -284,7 +322,7 @@ def open_recording(
     place = str(source) if isinstance(source, (str, Path)) else name or "recording"
     if time is not None and not time[0] < time[1]:
         raise RecordingError(f"{place}: time {time[0]:g}:{time[1]:g} s is empty; expected from < to")
-    mapping = mapping or Mapping()
+    mapping = mapping or ColumnMapping()
     mapping.check_joints(joints)
     if isinstance(source, (str, Path)):
         path = Path(source)
@@ -300,7 +338,7 @@ def connect(
     path: Path | None,
     table: Table,
     joints: Sequence[str],
-    mapping: Mapping,
+    mapping: ColumnMapping,
     time: tuple[float, float] | None,
     torque: bool = True,
 ) -> Recording:

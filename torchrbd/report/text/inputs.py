@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from torchrbd.report.text.names import words_of
+from torchrbd.report.text.numbers import number
 
 
 def _no_temperature(joints: Sequence[str]) -> str:
@@ -96,7 +98,21 @@ def _late_torque(delay_s: float) -> str:
     return f"the model has the recorded torque {abs(delay_s):.3g} s {way}: it is moved by that"
 
 
+def _gains(gains: Sequence[Mapping[str, Any]], units: Sequence[str]) -> str:
+    names = {"kp": "kp", "torque_constant": "torque constant"}
+    each = "; ".join(
+        f"{names[g['kind']]} of {g['joint']} {number(g['value'])} {unit} ({number(g['low'])} to {number(g['high'])})"
+        for g, unit in zip(gains, units, strict=True)
+    )
+    return (
+        f"estimated gains, with 95 % intervals: {each}. The URDF's bodies set this scale. Torque, inertia and friction "
+        "of a joint are in proportion to its gain, and their intervals are conditional on it. A known payload, links "
+        "under trust, or a larger kappa make it more certain"
+    )
+
+
 FACTS: dict[str, Callable[..., str]] = {
+    "estimated gains": _gains,
     "no changing torque": lambda joint: f"no recording has a torque that changes for {joint}",
     "no temperature": _no_temperature,
     "unphysical URDF inertia": _unphysical,
