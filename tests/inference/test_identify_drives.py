@@ -168,12 +168,12 @@ def test_other_commands_ask_for_the_gain(tmp_path):
     found = torchrbd.identify(robot, folder / "fit.csv", holdout=folder / "test.csv", mapping=unknown(folder))
     assert any("estimated gains" in note for note in found.notes)
     found.model.save(folder / "model.safetensors")
-    with pytest.raises(torchrbd.errors.RecordingError, match="leaves the gain of .* write the number"):
+    with pytest.raises(torchrbd.errors.RecordingError, match=r"leaves the gain of .* write the number"):
         torchrbd.replay(folder / "model.safetensors", folder / "test.csv", mapping=unknown(folder))
 
 
 def test_damping_cannot_be_estimated(tmp_path):
     folder = case(tmp_path, 0.0)
     (folder / "kd.yaml").write_text("joints:\n  '*': {drive: {kp: estimate, kd: estimate}}")
-    with pytest.raises(torchrbd.errors.RecordingError, match="line 2.*kd.*cannot be distinguished from viscous"):
+    with pytest.raises(torchrbd.errors.RecordingError, match=r"line 2.*kd.*cannot be distinguished from viscous"):
         torchrbd.identify(URDF, folder / "fit.csv", mapping=folder / "kd.yaml")

@@ -265,24 +265,9 @@ class Search(ModelEvidence):
             k = min(laws, key=laws.__getitem__, default=None)
             if k is None or laws[k] > 0.0:
                 break
-            proxy = self._proxy_of(chosen, k)
-            if proxy == k:
-                self._rejected[_kind(chosen[k])] = laws[k]
-            chosen = without(chosen, proxy)
+            self._rejected[_kind(chosen[k])] = laws[k]
+            chosen = without(chosen, k)
         return chosen
-
-    def _proxy_of(self, chosen: Sequence[Hypothesis], k: int) -> int:
-        """Return which term is in the place of the k-th, which does not predict left-out blocks given it; k if none is.
-
-        Of two terms that explain the same neither predicts more than the other. The less likely one goes.
-        """
-        h = chosen[k]
-        for m, other in enumerate(chosen):
-            if m != k and meet(h.candidate, other.candidate) and not is_curve(other.candidate):
-                rest = [one for i, one in enumerate(chosen) if i not in (k, m)]
-                if self.choose(rest, other, h) is h:
-                    return m
-        return k
 
     def _swap(self, chosen: list[Hypothesis]) -> list[Hypothesis]:
         """Return terms, each the likeliest of itself, at its best shape, and its rivals, given all others."""
@@ -323,7 +308,7 @@ class Search(ModelEvidence):
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""
         if not _uses_load(chosen):
             return None
-        other = self._among(rows_with_load(self.fit(chosen)), self.discrepancy)._with_own_widths(chosen)
+        other = self._given(rows_with_load(self.fit(chosen)), self.discrepancy)._with_own_widths(chosen)
         onwards = chosen
         for k, h in enumerate(chosen):
             if h.candidate.effect.uses_load:
@@ -336,16 +321,15 @@ class Search(ModelEvidence):
         Without such a term, as a delay, friction seems to change its sign over a range of speeds.
         """
         best, width = self, self.discrepancy.fit.hyper.rest_width
-        effects_sites = ((h.candidate.effect, h.candidate.site) for h in chosen)
-        joints = {site.joint for effect, site in effects_sites if effect.sees_friction and site.always} - {None}
-        for j in sorted(joints):
+        laws = [h.candidate for h in chosen if h.candidate.effect.sees_friction and h.candidate.site.always]
+        for j in sorted({c.place for c in laws if c.place is not None}):
             for one in trial_widths(self.rows)[:, j]:
                 widths = np.where(np.arange(len(width)) == j, one, best.discrepancy.fit.hyper.rest_width)
-                other = self._among(self.rows.at_widths(widths), self.discrepancy.at_widths(widths))
+                other = self._given(self.rows.at_widths(widths), self.discrepancy.at_widths(widths))
                 best = max(best, other, key=lambda search: search.total(chosen))
         return best
 
-    def _among(self, rows: Rows, discrepancy: Discrepancy) -> Search:
+    def _given(self, rows: Rows, discrepancy: Discrepancy) -> Search:
         """Return the search with other features, curves and noise."""
         return Search(rows, self.effects, discrepancy, self._report, self._done, self._rejected)
 

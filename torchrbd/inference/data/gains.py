@@ -182,7 +182,7 @@ def _quantiles(density: Density, centre: float) -> tuple[float, float, float]:
         log_k = torch.linspace(first, last, _POINTS, dtype=torch.float64)
         log_p = density((-log_k).exp()) - 0.5 * ((log_k - middle) / _DECADE).square()
         likely = torch.nonzero(log_p > log_p.max() - _IMPROBABLE).flatten()
-        first, last = (float(log_k[int(k)]) for k in ((likely[0] - 1).clamp_min(0), (likely[-1] + 1).clamp_max(_POINTS - 1)))
+        first, last = (float(log_k[int(k.clamp(0, _POINTS - 1))]) for k in (likely[0] - 1, likely[-1] + 1))
     below = (log_p - log_p.max()).exp().cumsum(0)
     low, value, high = (float(log_k[(below < part * below[-1]).sum()].exp()) for part in (0.025, 0.5, 0.975))
     return value, low, high
