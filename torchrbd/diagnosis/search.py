@@ -321,8 +321,8 @@ class Search(ModelEvidence):
         Without such a term, as a delay, friction seems to change its sign over a range of speeds.
         """
         best, width = self, self.discrepancy.fit.hyper.rest_width
-        laws = [h.candidate for h in chosen if h.candidate.effect.sees_friction and h.candidate.site.always]
-        for j in sorted({c.place for c in laws if c.place is not None}):
+        sites = [h.candidate.site for h in chosen if h.candidate.effect.sees_friction]
+        for j in sorted({site.joint for site in sites if site.always and site.joint is not None}):
             for one in trial_widths(self.rows)[:, j]:
                 widths = np.where(np.arange(len(width)) == j, one, best.discrepancy.fit.hyper.rest_width)
                 other = self._given(self.rows.at_widths(widths), self.discrepancy.at_widths(widths))
