@@ -362,7 +362,7 @@ def test_urdf_lacks_more() -> None:
     rotor, gravity = torchrbd.not_exported(model, "urdf")
     assert rotor == "rotor inertia (armature) at joint2 (rotor_inertia 0.2 N m s^2/rad): URDF has no word for it"
     assert gravity.startswith("gravity, which is 0 9.81 0 m/s^2 in the base's axes")
-    with pytest.raises(OptionError, match="there is no format 'sdf'; expected urdf or mjcf"):
+    with pytest.raises(OptionError, match="there is no format 'sdf'; expected urdf, mjcf, isaaclab"):
         torchrbd.not_exported(model, "sdf")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pinocchio as pin
@@ -13,6 +14,7 @@ from likelihood.arms import Torque, arm_urdf, driven_columns, wrong_robot
 from simulated import Motion, inverse_dynamics, joint_names
 
 import torchrbd
+from torchrbd.cli import main
 
 pytestmark = pytest.mark.usefixtures("fit_alone")
 
@@ -177,3 +179,31 @@ def test_damping_cannot_be_estimated(tmp_path):
     (folder / "kd.yaml").write_text("joints:\n  '*': {drive: {kp: estimate, kd: estimate}}")
     with pytest.raises(torchrbd.errors.RecordingError, match=r"line 2.*kd.*cannot be distinguished from viscous"):
         torchrbd.identify(URDF, folder / "fit.csv", mapping=folder / "kd.yaml")
+
+
+def test_robots_are_drawn_for_simulators(tmp_path, capsys):
+    """Each of them is physical, and takes set-points; together they scatter as the intervals say."""
+    folder = case(tmp_path, 0.0)
+    (folder / "robot.urdf").write_text(URDF)
+    run = ["identify", str(folder / "robot.urdf"), str(folder / "fit.csv"), "--mapping", str(folder / "map.yaml")]
+    assert main([*run, "-o", str(folder / "out")]) == 0
+    drawn = ["export", str(folder / "out"), "--to", "mjcf", "--samples", "40", "--seed", "3", "-o", str(folder / "all")]
+    assert main(drawn) == 0
+    files = sorted((folder / "all").glob("robot_*.xml"))
+    assert len(files) == 40
+    machines = [mujoco.MjModel.from_xml_path(str(file)) for file in files]
+    bodies = torchrbd.RobotModel.from_urdf(URDF).body_names
+    for machine in machines:
+        assert machine.actuator_gainprm[:, 0].tolist() == KP.tolist()
+        assert all(machine.body(name).mass > 0 for name in bodies)
+    found = torchrbd.Identification.load(folder / "out")
+    last = joint_names(URDF)[1]
+    (rotor,) = (p for p in found.parameters if p.name == f"rotor_inertia_{last}.rotor_inertia")
+    armature = np.array([m.dof_armature[1] for m in machines])
+    assert armature.mean() == pytest.approx(rotor.value, abs=rotor.std)
+    assert armature.std() == pytest.approx(rotor.std, rel=0.4)
+    assert main([*drawn[:-2], "-o", str(folder / "again")]) == 0
+    assert [f.read_bytes() for f in files] == [f.read_bytes() for f in sorted((folder / "again").glob("*.xml"))]
+    capsys.readouterr()
+    assert main(["export", str(folder / "out"), "--to", "mjcf", "--samples", "0", "-o", str(folder / "none")]) == 2
+    assert "--samples: expected 1 to 10000, got 0" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -78,6 +79,29 @@ def in_mujoco(case: Path, t: np.ndarray, q: np.ndarray, qd: np.ndarray, limit: f
         mujoco.mj_step(m, d)
         path.append(d.qpos.copy())
     return np.array(path)[np.round((t - t[0]) / 1e-4).astype(int)]
+
+
+@pytest.mark.parametrize("limit", [None, 6.0])
+def test_the_exported_file_follows_the_same_commands(case: Path, limit: float | None) -> None:
+    """Actuators of the file take set-points: MuJoCo alone makes the motion of the model."""
+    (case / "own.yaml").write_text(mapping_text(limit, delay_s=0.01))
+    model = true_model()
+    opened = open_recording(case / "day.csv", joint_names(URDF), mapping=read_mapping(case / "own.yaml"))
+    model.drives = replace(opened.drives, delay_s=0.0)
+    found = torchrbd.simulate(model, opened, start=1.0, seconds=3.0, commands=True)
+    m = mujoco.MjModel.from_xml_string(torchrbd.to_mjcf(model).decode())
+    m.opt.timestep = 1e-4
+    m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    d = mujoco.MjData(m)
+    d.qpos[:], d.qvel[:] = found.q[0], found.qd[0]
+    steps, path = round((found.t[-1] - found.t[0]) / 1e-4), [found.q[0]]
+    for wanted in set_points(opened, found.t[0] + 1e-4 * np.arange(steps)):
+        d.ctrl[:] = wanted
+        mujoco.mj_step(m, d)
+        path.append(d.qpos.copy())
+    other = np.array(path)[np.round((found.t - found.t[0]) / 1e-4).astype(int)]
+    moved = np.sqrt(np.mean((other - other.mean(0)) ** 2, 0))
+    assert (np.sqrt(np.mean((found.q - other) ** 2, 0)) < 1e-3 * moved).all()
 
 
 @pytest.mark.parametrize("limit", [None, 6.0])

@@ -12,7 +12,7 @@ from torchrbd.dataset.block_statistics import BlockStatistics, block_statistics
 from torchrbd.dataset.columns import Columns
 from torchrbd.dataset.simulated import Simulated
 from torchrbd.model import OTHERS, Condition
-from torchrbd.recordings import TILE_ROWS, Filtering, Gain, Recording, States, Survey, tiles
+from torchrbd.recordings import TILE_ROWS, Drives, Filtering, Gain, Recording, States, Survey, tiles
 from torchrbd.robot import RobotModel
 
 Progress = Callable[[str, float], None]
@@ -109,6 +109,11 @@ class Reading:
         """Which joints have a drive, whose torque is computed from set-points, (n_dof,) bool."""
         names = {joint for recording in self.recordings for joint in recording.drives.of}
         return torch.tensor([joint in names for joint in self.robot.joint_names])
+
+    @property
+    def drives(self) -> Drives | None:
+        """The drives of the first recording that has some; None where all torques were recorded."""
+        return next((r.drives for r in self.recordings if r.drives.of), None)
 
     @property
     def has_drives(self) -> bool:

@@ -96,7 +96,8 @@ def check_file(
     """
     if not recordings:
         raise OptionError("no recording to check on; give at least one")
-    file = written(model, to)
+    # Torques are compared, so that actuators take torques.
+    file = written(RigidBodyDynamics(model.robot, model.pi, model.terms, model.rest_width, model.conditions), to)
     own, notes = _met_by_inverse_dynamics(model, in_time=to == "mjcf")
     opened = _opened(model, recordings, mapping)
     surveys = [survey(one) for one in opened]

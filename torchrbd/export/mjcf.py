@@ -31,8 +31,9 @@ def to_mjcf(model: RigidBodyDynamics) -> bytes:
     """Write a model as an MJCF file.
 
     Links are bodies and keep their names; a moving link has the inertia of all that is fixed to it. Numbers that
-    several terms give add. A joint's actuator takes the torque that a recording has. What MJCF cannot hold stands in
-    comments at the head of the file, see ``not_exported``. MuJoCo is not needed.
+    several terms give add. A joint's actuator takes the torque that a recording has, or the set-point where the model
+    has a position drive. What MJCF cannot hold stands in comments at the head of the file, see ``not_exported``. MuJoCo
+    is not needed.
 
         mj_inverse = model(q, qd, qdd)    where the file holds the model, dry friction in motion
 
@@ -63,7 +64,7 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[Remark, ...]]:
     upright = torch.eye(4, dtype=torch.float64)
     base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
     _write_links(base, model, found, not_exported)
-    not_exported += [*_further(robot, found), *conditions_not_exported(model)]
+    not_exported += [*_further(robot, found), *_lagging(model, found), *conditions_not_exported(model)]
     root.append(comment(f"torchrbd: {Remark('what the file lacks')}"))
     root.extend(comment(str(one)) for one in not_exported)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
@@ -72,7 +73,7 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[Remark, ...]]:
         hard = {f"{name}friction": value for name, value in _HARD.items()}
         etree.SubElement(etree.SubElement(root, "default"), "joint", hard)
     root.append(world)
-    root.extend(part for part in (_equality(robot), _tendons(robot, found), *_actuators(robot, found)) if len(part))
+    root.extend(part for part in (_equality(robot), _tendons(robot, found), *_actuators(model, found)) if len(part))
     etree.indent(root)
     return etree.tostring(root, xml_declaration=True, encoding="utf-8", pretty_print=True), tuple(not_exported)
 
@@ -170,26 +171,43 @@ def _tendons(robot: RobotModel, found: Gathered) -> etree._Element:
     return part
 
 
-def _actuators(robot: RobotModel, found: Gathered) -> tuple[etree._Element, etree._Element]:
-    """Return actuators, whose control is the torque that is recorded, and sensors of what is read of it."""
+def _actuators(model: RigidBodyDynamics, found: Gathered) -> tuple[etree._Element, etree._Element]:
+    """Return actuators, and sensors of what is read of them.
+
+    The control is the set-point of a joint that has a position drive, else the torque that is recorded.
+    """
     actuators, sensors = etree.Element("actuator"), etree.Element("sensor")
-    for name, drive in zip(robot.joint_names, found.drives, strict=True):
+    followed = {} if model.drives is None else model.drives.of
+    for name, drive in zip(model.robot.joint_names, found.drives, strict=True):
         written: dict[str, float | tuple[float, ...] | str] = {"name": name, "joint": name}
         # A spring without stiffness is a constant torque.
         constant = drive.offset + (0.0 if drive.stiffness else drive.at_zero)
-        if drive.gain != 1.0:
+        limit, delay, own = drive.limit, drive.delay, followed.get(name)
+        if own is not None:
+            kp, kd = own.kp / drive.gain, own.kd / drive.gain
+            written |= {"gainprm": kp, "biastype": "affine", "biasprm": (-constant, -kp, -kd)}
+            limit, delay = min(limit, own.limit / drive.gain), delay + max(model.drives.delay_s, 0.0)
+        elif drive.gain != 1.0:
             written["gainprm"] = 1.0 / drive.gain
-        if constant:
+        if constant and own is None:
             written |= {"biastype": "affine", "biasprm": (-constant, 0.0, 0.0)}
-        if drive.lag:
+        if drive.lag and own is None:
             written |= {"dyntype": "filterexact", "dynprm": drive.lag}
-        if math.isfinite(drive.limit):
-            written["forcerange"] = (-drive.limit, drive.limit)
-        etree.SubElement(actuators, "general", {k: text(v) for k, v in written.items()} | _history(drive.delay))
+        if math.isfinite(limit):
+            written["forcerange"] = (-limit, limit)
+        etree.SubElement(actuators, "general", {k: text(v) for k, v in written.items()} | _history(delay))
         reading = _history(drive.late) | ({"cutoff": text(drive.clipped)} if math.isfinite(drive.clipped) else {})
         if reading:
             etree.SubElement(sensors, "actuatorfrc", {"name": f"{name}_torque", "actuator": name} | reading)
     return actuators, sensors
+
+
+def _lagging(model: RigidBodyDynamics, found: Gathered) -> list[Remark]:
+    """Return the lags of joints with a position drive, which are not written."""
+    followed = {} if model.drives is None else model.drives.of
+    pairs = zip(model.robot.joint_names, found.drives, strict=True)
+    joints = [name for name, drive in pairs if drive.lag and name in followed]
+    return [Remark("lag of a drive", {"joints": joints})] if joints else []
 
 
 def _history(delay: float) -> dict[str, str]:

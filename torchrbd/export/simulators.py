@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from torchrbd.errors import OptionError
+from torchrbd.export.isaac_lab import not_in_isaac_lab, to_isaac_lab
 from torchrbd.export.mjcf import not_in_mjcf, to_mjcf
 from torchrbd.export.urdf import not_in_urdf, to_urdf
 from torchrbd.model import RigidBodyDynamics
 
-FORMATS = {"urdf": to_urdf, "mjcf": to_mjcf}
+FORMATS = {"urdf": to_urdf, "mjcf": to_mjcf, "isaaclab": to_isaac_lab}
 """What writes them."""
+_LACKING = {"urdf": not_in_urdf, "mjcf": not_in_mjcf, "isaaclab": not_in_isaac_lab}
 
 
 def written(model: RigidBodyDynamics, to: str) -> bytes:
@@ -18,7 +20,7 @@ def written(model: RigidBodyDynamics, to: str) -> bytes:
         OptionError: there is no such format.
     """
     if to not in FORMATS:
-        raise OptionError(f"there is no format '{to}'; expected {' or '.join(FORMATS)}")
+        raise OptionError(f"there is no format '{to}'; expected {', '.join(FORMATS)}")
     return FORMATS[to](model)
 
 
@@ -27,12 +29,12 @@ def not_exported(model: RigidBodyDynamics, to: str = "mjcf") -> tuple[str, ...]:
 
     Args:
         model: that is written.
-        to: "mjcf" or "urdf", as ``to_mjcf`` and ``to_urdf`` write them.
+        to: "mjcf", "urdf" or "isaaclab", as ``to_mjcf``, ``to_urdf`` and ``to_isaac_lab`` write them.
 
     Raises:
         OptionError: there is no such format.
         PhysicalError: MJCF of a link whose inertial parameters are those of no rigid body.
     """
     if to not in FORMATS:
-        raise OptionError(f"there is no format '{to}'; expected {' or '.join(FORMATS)}")
-    return tuple(map(str, not_in_mjcf(model) if to == "mjcf" else not_in_urdf(model)))
+        raise OptionError(f"there is no format '{to}'; expected {', '.join(FORMATS)}")
+    return tuple(map(str, _LACKING[to](model)))

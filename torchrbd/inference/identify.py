@@ -272,7 +272,7 @@ def _modules(prepared: Prepared, models: Mapping[str, FittedModel]) -> dict[str,
     urdf = RigidBodyDynamics(prepared.robot, terms=described_terms(prepared.robot), rest_width=width)
     modules = {"urdf": urdf, **modules}
     for module in modules.values():
-        module.conditions = prepared.reading.conditions
+        module.conditions, module.drives = prepared.reading.conditions, prepared.reading.drives
     return modules
 
 

@@ -153,9 +153,8 @@ def _loaded(model: RigidBodyDynamics, reading: Reading) -> RigidBodyDynamics:
     """Return the model with loads that are given now in place of those that it knows."""
     if not reading.payload:
         return model
-    own = RigidBodyDynamics(
-        model.robot, model.pi, model.terms, model.rest_width, conditions=model.conditions, reported=model.reported
-    )
+    about = {"conditions": model.conditions, "reported": model.reported, "drives": model.drives}
+    own = RigidBodyDynamics(model.robot, model.pi, model.terms, model.rest_width, **about)
     for name, load in reading.payload.items():
         own.conditions[name] = replace(model.condition(name), load=load)
     return own

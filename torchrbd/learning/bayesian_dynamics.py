@@ -196,7 +196,7 @@ class BayesianDynamics(nn.Module):
         own = {k: v for k, v in self.state_dict().items() if not k.startswith("physics.")}
         own["kappa"] = torch.tensor(self.kappa, dtype=torch.float64)
         robot = self.robot()
-        about = {"conditions": robot.conditions, "reported": robot.reported}
+        about = {"conditions": robot.conditions, "reported": robot.reported, "drives": robot.drives}
         write_model(path, robot.robot, robot.terms, robot.state_dict(), own, **about)
 
     @property

@@ -19,6 +19,7 @@ from torchrbd.effects import Site, Term, Window, effect
 from torchrbd.errors import InputError, RobotError
 from torchrbd.model.conditions import Condition, Reported, from_content, to_content
 from torchrbd.parameters import from_log_cholesky
+from torchrbd.recordings import Drives
 from torchrbd.robot import RobotModel
 
 NAME = "model.safetensors"
@@ -37,6 +38,7 @@ class Parts(NamedTuple):
         posterior: its uncertainty, tensors by name; empty if the file has none.
         conditions: of recordings, by name.
         reported: the error that was reported for it, if any.
+        drives: of the robot, if torques were those of drives.
     """
 
     robot: RobotModel
@@ -46,6 +48,7 @@ class Parts(NamedTuple):
     posterior: dict[str, Tensor]
     conditions: dict[str, Condition]
     reported: Reported | None
+    drives: Drives | None
 
 
 def write_model(
@@ -57,6 +60,7 @@ def write_model(
     *,
     conditions: Mapping[str, Condition],
     reported: Reported | None,
+    drives: Drives | None = None,
 ) -> None:
     """Write a model to a safetensors file; arguments as of ``Parts``.
 
@@ -72,6 +76,7 @@ def write_model(
         "terms": json.dumps([{"effect": t.effect.id, "site": asdict(t.site), "shape": t.shape} for t in terms]),
         "conditions": json.dumps(to_content(conditions)),
         "reported": json.dumps(None if reported is None else asdict(reported)),
+        "drives": json.dumps(None if drives is None else drives.to_content()),
     }
     tensors = {**state, **{_POSTERIOR + name: value for name, value in (posterior or {}).items()}}
     # Written by Python, so the file has the user's usual permissions; safetensors would make it readable by the owner
@@ -121,9 +126,11 @@ def _parts(metadata: Mapping[str, str], tensors: dict[str, Tensor]) -> Parts:
     pi = state["constant_pi"].clone()
     pi[state["physical"]] += from_log_cholesky(state["raw_inertia"])
     posterior = {name.removeprefix(_POSTERIOR): tensors[name] for name in tensors.keys() - state.keys()}
-    conditions, saved = (json.loads(metadata.get(name, "{}")) for name in ("conditions", "reported"))
+    conditions, saved, driven = (json.loads(metadata.get(name, "{}")) for name in ("conditions", "reported", "drives"))
     reported = Reported.from_content(saved) if saved else None
-    return Parts(robot, pi.flatten().to(torch.float64), terms, state, posterior, from_content(conditions), reported)
+    drives = Drives.from_content(driven) if driven else None
+    bodies = pi.flatten().to(torch.float64)
+    return Parts(robot, bodies, terms, state, posterior, from_content(conditions), reported, drives)
 
 
 def _site(content: dict[str, Any]) -> Site:

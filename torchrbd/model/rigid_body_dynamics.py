@@ -26,7 +26,7 @@ from torchrbd.model.plain_terms import is_plain, placing, plain_torque
 from torchrbd.model.starting import REST_WIDTH, described_terms, starting_terms
 from torchrbd.model.stepping import implicit_velocity, runge_kutta
 from torchrbd.parameters import PARAMETERS_PER_BODY, from_log_cholesky, is_physical, to_log_cholesky
-from torchrbd.recordings import States
+from torchrbd.recordings import Drives, States
 from torchrbd.robot import RobotModel
 
 METHODS = ("semi_implicit", "runge_kutta")
@@ -51,6 +51,7 @@ class RigidBodyDynamics(nn.Module):
         conditions: of recordings, by name: their clocks, known loads and held-out rows. The key "" is for recordings
             without an entry.
         reported: the error that was reported for the model, see ``torchrbd.replay``.
+        drives: position drives of the robot, whose gains simulators need; None if torques were recorded.
 
     Attributes:
         raw_inertia: (n_physical, 10) log-Cholesky coordinates; any values give a physical robot.
@@ -71,6 +72,7 @@ class RigidBodyDynamics(nn.Module):
         rest_width: Tensor | None = None,
         conditions: Mapping[str, Condition] | None = None,
         reported: Reported | None = None,
+        drives: Drives | None = None,
     ) -> None:
         super().__init__()
         self.robot = robot
@@ -81,7 +83,7 @@ class RigidBodyDynamics(nn.Module):
         self.raw_inertia = nn.Parameter(to_log_cholesky(bodies[physical]))
         width = torch.full((robot.n_dof,), REST_WIDTH, dtype=torch.float64) if rest_width is None else rest_width
         self.register_buffer("rest_width", width.clone())
-        self.conditions, self.reported = dict(conditions or {}), reported
+        self.conditions, self.reported, self.drives = dict(conditions or {}), reported, drives
         self._terms = nn.ModuleList(terms)
         # Most terms are baseline friction: they are evaluated together. Each is registered once, above.
         self._plain = tuple(term for term in self.terms if is_plain(term))
@@ -145,7 +147,8 @@ class RigidBodyDynamics(nn.Module):
             InputError: there is no such file, or it is not a model of torchrbd.
         """
         found = read_model(path)
-        model = cls(found.robot, found.pi, found.terms, conditions=found.conditions, reported=found.reported)
+        about = {"conditions": found.conditions, "reported": found.reported, "drives": found.drives}
+        model = cls(found.robot, found.pi, found.terms, **about)
         model.load_state_dict(found.state)
         return model
 
@@ -155,7 +158,7 @@ class RigidBodyDynamics(nn.Module):
         Raises:
             RobotError: the robot was not made from a URDF.
         """
-        about = {"conditions": self.conditions, "reported": self.reported}
+        about = {"conditions": self.conditions, "reported": self.reported, "drives": self.drives}
         write_model(path, self.robot, self.terms, self.state_dict(), **about)
 
     @property

@@ -2,7 +2,7 @@
 
 from torchrbd.recordings.chunk import Chunk
 from torchrbd.recordings.clock import uniform_blocks
-from torchrbd.recordings.drives import Gain
+from torchrbd.recordings.drives import Drives, Gain
 from torchrbd.recordings.filtering import Filtering
 from torchrbd.recordings.formats.table import Format, Table
 from torchrbd.recordings.inspection import Inspection, inspect_recording
@@ -19,6 +19,7 @@ __all__ = [
     "TILE_ROWS",
     "Chunk",
     "Data",
+    "Drives",
     "Filtering",
     "Format",
     "Gain",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,21 @@ class Drives:
     joints: tuple[str, ...]
     of: Mapping[str, Drive]
     delay_s: float = 0.0
+
+    def to_content(self) -> dict[str, Any]:
+        """Return what ``from_content`` reads, for JSON; no limit is null."""
+        limits = {joint: drive.limit if math.isfinite(drive.limit) else None for joint, drive in self.of.items()}
+        of = {joint: {"kp": one.kp, "kd": one.kd, "limit": limits[joint]} for joint, one in self.of.items()}
+        return {"joints": list(self.joints), "of": of, "delay_s": self.delay_s}
+
+    @classmethod
+    def from_content(cls, content: Mapping[str, Any]) -> Drives:
+        """Return drives from the result of ``to_content``."""
+        of = {
+            joint: Drive(float(one["kp"]), float(one["kd"]), math.inf if one["limit"] is None else float(one["limit"]))
+            for joint, one in content["of"].items()
+        }
+        return cls(tuple(map(str, content["joints"])), of, float(content["delay_s"]))
 
     @property
     def index(self) -> list[int]:

@@ -12,6 +12,7 @@ _REASONS = {
     "not finite": "has numbers that are not finite",
     "MJCF": "MJCF has no word for it",
     "URDF": "URDF has no word for it",
+    "Isaac Lab": "its actuators have no word for it",
 }
 
 
@@ -86,6 +87,10 @@ def _limits(joints: Sequence[str], fault: str) -> str:
 
 
 EXPORTED: dict[str, Callable[..., str]] = {
+    "joints without drive": lambda joints: f"{', '.join(joints)}: no drive is known",
+    "lag of a drive": lambda joints: (
+        f"lag of {', '.join(joints)}: that of a torque, and an actuator that follows set-points has none"
+    ),
     "what the file lacks": lambda: "what this file lacks, or has otherwise:",
     "not exported": _not_exported,
     "not compared": lambda term: f"{_term(**term)}: is in the file's actuators, whose course in time is not compared",
