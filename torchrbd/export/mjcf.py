@@ -177,7 +177,7 @@ def _actuators(model: RigidBodyDynamics, found: Gathered) -> tuple[etree._Elemen
     The control is the set-point of a joint that has a position drive, else the torque that is recorded.
     """
     actuators, sensors = etree.Element("actuator"), etree.Element("sensor")
-    followed = {} if model.drives is None else model.drives.of
+    followed, late = ({}, 0.0) if model.drives is None else (model.drives.of, max(model.drives.delay_s, 0.0))
     for name, drive in zip(model.robot.joint_names, found.drives, strict=True):
         written: dict[str, float | tuple[float, ...] | str] = {"name": name, "joint": name}
         # A spring without stiffness is a constant torque.
@@ -186,7 +186,7 @@ def _actuators(model: RigidBodyDynamics, found: Gathered) -> tuple[etree._Elemen
         if own is not None:
             kp, kd = own.kp / drive.gain, own.kd / drive.gain
             written |= {"gainprm": kp, "biastype": "affine", "biasprm": (-constant, -kp, -kd)}
-            limit, delay = min(limit, own.limit / drive.gain), delay + max(model.drives.delay_s, 0.0)
+            limit, delay = min(limit, own.limit / drive.gain), delay + late
         elif drive.gain != 1.0:
             written["gainprm"] = 1.0 / drive.gain
         if constant and own is None:
