@@ -80,30 +80,30 @@ def _mapping(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> dict[s
     if h.kind == "gravity":
         return {}
     if h.kind == "torque gain":
-        return {"joints": _general(_currents(h, joints, prepared), prepared)}
+        return {"joints": in_general(_currents(h, joints, prepared), prepared)}
     if h.kind == "time unit":
-        column = _source(prepared, "t", prepared.robot.joint_names[0]).column
+        column = source_of(prepared, "t", prepared.robot.joint_names[0]).column
         return {"time": {"column": column, "unit": h.unit}}
     entries: dict[str, dict[str, Any]] = {}
     for name, other in zip(joints, reversed(joints), strict=True):
         own = entries.setdefault(name, {})
         if h.kind in ("swapped torques", "swapped joints"):
-            own["tau"] = _entry(_source(prepared, "tau", other))
+            own["tau"] = entry_of(source_of(prepared, "tau", other))
         if h.kind in ("swapped positions", "swapped joints"):
-            own["q"] = _entry(_source(prepared, "q", other))
+            own["q"] = entry_of(source_of(prepared, "q", other))
         if h.unit:
-            own["q"] = _entry(_source(prepared, "q", name), unit=h.unit)
+            own["q"] = entry_of(source_of(prepared, "q", name), unit=h.unit)
         for signal, kinds in (("tau", ("torque sign", "direction")), ("q", ("position sign", "direction"))):
             if h.kind in kinds:
-                own[signal] = _entry(_source(prepared, signal, name), turned=True)
-    return {"joints": _general(entries, prepared)}
+                own[signal] = entry_of(source_of(prepared, signal, name), turned=True)
+    return {"joints": in_general(entries, prepared)}
 
 
 def _currents(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> dict[str, dict[str, Any]]:
     """Return the entries with which columns are currents, with the constants with which the torques fit."""
     names, entries = prepared.robot.joint_names, {}
     for joint in _measured(prepared) if h.unit == "all" else joints:
-        source = _source(prepared, "tau", joint)
+        source = source_of(prepared, "tau", joint)
         factor = h.writing.tau_scale[names.index(joint)]
         constant = float(f"{abs(source.scale * factor):.3g}")
         entry: dict[str, Any] = {"current": source.column, "torque_constant": constant}
@@ -131,7 +131,7 @@ def _measured(prepared: Prepared) -> list[str]:
     return [name for j, name in enumerate(prepared.robot.joint_names) if any(bool(one[j]) for one in seen)]
 
 
-def _entry(source: Source, *, unit: str = "", turned: bool = False) -> dict[str, Any] | str:
+def entry_of(source: Source, *, unit: str = "", turned: bool = False) -> dict[str, Any] | str:
     """Return the entry of a mapping that reads a column as it is read now, but for its unit or its direction."""
     scale = math.copysign(1.0, source.scale) if unit else source.scale
     scale, offset = (-scale, -source.offset) if turned else (scale, source.offset)
@@ -145,7 +145,7 @@ def _entry(source: Source, *, unit: str = "", turned: bool = False) -> dict[str,
     return entry if len(entry) > 1 else source.column
 
 
-def _general(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str, dict[str, Any]]:
+def in_general(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str, dict[str, Any]]:
     """Return one entry for all joints where the columns are called after them."""
     if len(entries) < 2 or len(entries) < prepared.robot.n_dof:
         return entries
@@ -157,6 +157,6 @@ def _general(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str
     return {"*": general}
 
 
-def _source(prepared: Prepared, signal: str, joint: str) -> Source:
+def source_of(prepared: Prepared, signal: str, joint: str) -> Source:
     found = (recording.source(signal, joint) for recording in prepared.recordings)
     return next(filter(None, found), Source(f"{signal}_{joint}"))

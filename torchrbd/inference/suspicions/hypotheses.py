@@ -24,6 +24,7 @@ TESTED = (
     "torque gain",
     "clipped torque",
     "variant",
+    "set-points",
 )
 """Kinds of what is looked for."""
 

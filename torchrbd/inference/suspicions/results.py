@@ -32,7 +32,8 @@ class Suspicion(Stated):
     Attributes:
         kind: "degrees", "radians", "millimetres", "time unit", "torque sign", "position sign", "direction",
             "swapped torques", "swapped positions", "swapped joints", "gravity", "torque gain", "speed", "late torque",
-            "clipped torque", "variant".
+            "clipped torque", "variant", "set-points in degrees", "set-points of the opposite sign",
+            "swapped set-points".
         joints: where; none if it concerns the whole table.
         log_odds: against a table that means what it says, in nats.
         times: by which factor the squared error on time left out of the fit falls, the geometric mean over the joints

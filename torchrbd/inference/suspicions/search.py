@@ -40,6 +40,7 @@ from torchrbd.inference.suspicions.hypotheses import TESTED, Hypothesis, gains, 
 from torchrbd.inference.suspicions.results import NO_SUSPICIONS, Suspicion, Suspicions
 from torchrbd.inference.suspicions.rivals import rivals
 from torchrbd.inference.suspicions.samples import Samples
+from torchrbd.inference.suspicions.set_points import set_point_suspicions
 from torchrbd.inference.suspicions.variant import another_variant
 from torchrbd.inference.suspicions.writing import Writing
 from torchrbd.recordings import Survey
@@ -71,6 +72,9 @@ def suspicions(prepared: Prepared) -> Suspicions:
     """Return what is suspected of the recordings; nothing where a simulation replaces the URDF."""
     if prepared.reading.simulated:
         return NO_SUSPICIONS
+    # Torques of drives that follow other set-points say nothing else.
+    if followed := set_point_suspicions(prepared, BOUND):
+        return Suspicions(tuple(followed), TESTED)
     samples = Samples(prepared)
     if not bool(samples.judged.any()):
         return NO_SUSPICIONS

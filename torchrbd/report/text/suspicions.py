@@ -26,6 +26,7 @@ _TESTED = {
     "clipped torque": "torques that are cut off",
     "variant": "the URDF of another variant",
     "late torque": "torques of an earlier or a later sample",
+    "set-points": "set-points in degrees, of the opposite sign, or of another joint",
 }
 
 
@@ -77,11 +78,20 @@ def _currents(one: Suspicion) -> str:
     )
 
 
+def _followed(one: Suspicion) -> str:
+    """Say how much better joints follow other set-points than those that the table has."""
+    where, follow = " and ".join(one.joints) or "all joints", "follow" if len(one.joints) != 1 else "follows"
+    other = "each other's set-points" if one.kind == "swapped set-points" else one.kind
+    return f"{where} {follow} {other}: with these the squared tracking error is {_number(one.times)} times smaller"
+
+
 def _evidence(one: Suspicion) -> str:
     special = {"torque gain": _gain, "speed": _speed, "late torque": _late, "clipped torque": _clipped}
     special |= {"variant": _variant}
     if one.kind in special:
         return special[one.kind](one)
+    if "set-points" in one.kind:
+        return _followed(one)
     joints, meaning = one.meaning.joints, _noun(one.meaning)
     if one.kind == "torque sign" and len(joints) == 1:
         return f"tau_{joints[0]} fits {_number(one.times)} times better with the opposite sign"
