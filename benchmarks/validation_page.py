@@ -111,6 +111,18 @@ def closed_loop() -> str:
 
 
 @table
+def unknown_gains() -> str:
+    names, rows = {"z1": "Unitree Z1", "go2": "Unitree Go2"}, []
+    for key, one in results("unknown_gains").items():
+        robot, bodies = key.split(": ")
+        if "inside" in one:
+            inside = f"{one['inside']} of {one['of']}"
+            rows.append([names[robot], bodies, f"{one['median_ratio']:.2f}", inside, f"{one['median_factor']:.2f}"])
+    head = ["robot", "URDF's bodies", "estimate / true", "true gain in its 95 % interval", "half-width, a factor of"]
+    return markdown(head, rows)
+
+
+@table
 def real_joints() -> str:
     rows = []
     each = ((one, model) for one in results("real_robots").values() for model in BASELINES if model in one["nmse"])
@@ -198,25 +210,6 @@ def input_noise() -> str:
 @table
 def coverage() -> str:
     return stored("input_noise", "coverage")
-
-
-@table
-def estimators() -> str:
-    names = {"kuka_kr300": "KUKA KR300", "dfki_double_pendulum": "double pendulum", "dfki_pendulum": "pendulum"}
-    found, wanted = (
-        results("real_estimators"),
-        ("urdf", "physical", "smoother", "ols", "irls", "ridge", "stepwise", "best"),
-    )
-    of = {k: {row[0]: row[2] for row in x["rows"]} for k, x in found.items()}
-    return markdown(["estimator", *names.values()], [[w, *(of[k][w] for k in names)] for w in wanted])
-
-
-@table
-def control() -> str:
-    slow, quick = (results("vision_head")[f"summary_{hz}"] for hz in ("0.4_hz", "1.5_hz"))
-    rows = zip(slow["rows"], quick["rows"], strict=True)
-    chosen = [[a[0], a[-1], b[-1]] for a, b in rows if a[1].startswith("position")]
-    return markdown(["controller, position error", "calm motion", "quick motion"], chosen)
 
 
 @table
