@@ -111,6 +111,15 @@ def closed_loop() -> str:
 
 
 @table
+def sysid_rivals() -> str:
+    names, rows = {"z1": "Unitree Z1", "go2": "Unitree Go2"}, []
+    for key, one in results("sysid_rivals").items():
+        robot, fit = key.split(": ")
+        rows.append([names[robot], fit, f"{one['rms_mrad']:.3g} mrad", f"{one['processor_s']} s"])
+    return markdown(["robot", "fit", "distance from the held-out motion, RMS", "processor time"], rows)
+
+
+@table
 def unknown_gains() -> str:
     names, rows = {"z1": "Unitree Z1", "go2": "Unitree Go2"}, []
     for key, one in results("unknown_gains").items():
