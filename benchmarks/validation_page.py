@@ -180,7 +180,7 @@ def probability(value: float) -> str:
 
 @table
 def summary() -> str:
-    c, i, r = results("concealed"), results("injected"), results("ranking")
+    c, i = results("concealed"), results("injected")
     rows = [
         ["simulated, one effect of 8 or 16 % of the torque: named", c["clean_8_16"]],
         ["simulated, one effect of 2 or 4 %: named", c["clean_2_4"]],
@@ -198,8 +198,6 @@ def summary() -> str:
         ["effect of 15 % added to a real recording: named, or its family", i["size_15"]],
         ["effect of 8 % added to a real recording: named, or its family", i["size_8"]],
         ["the same: false findings per recording", i["false_findings_a_case"]],
-        ["`torchrbd.rank_hypotheses`, effect of 8 %: first in the list, or its class", r["named"]],
-        ["`torchrbd.rank_hypotheses`, nothing hidden: greatest log evidence", r["greatest_null_evidence"]],
     ]
     return markdown(["question", "result", "required"], [[words, part(x), x.get("asked", "")] for words, x in rows])
 
