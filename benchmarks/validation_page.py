@@ -127,7 +127,13 @@ def unknown_gains() -> str:
         if "inside" in one:
             inside = f"{one['inside']} of {one['of']}"
             rows.append([names[robot], bodies, f"{one['median_ratio']:.2f}", inside, f"{one['median_factor']:.2f}"])
-    head = ["robot", "URDF's bodies", "estimate / true", "true gain in its 95 % interval", "half-width, a factor of"]
+    head = [
+        "robot",
+        "URDF's bodies",
+        "estimate / known gain",
+        "known gain in the 95 % interval",
+        "half-width of the interval, a factor of",
+    ]
     return markdown(head, rows)
 
 

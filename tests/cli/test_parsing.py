@@ -98,7 +98,7 @@ WRONG = {
     "number": (["identify", "a", "b", "-o", "c", "--seed", "x"], 'Invalid value for --seed: unable to convert "x"'),
     "vector": (["identify", "a", "b", "-o", "c", "--gravity", "0", "1"], "--gravity requires 3"),
     "nothing": (["identify", "a", "b", "-o", "c", "--joints"], "--joints requires at least 1 element"),
-    "format": (["export", "out", "--to", "sdf"], 'Choose from: "urdf", "mjcf"'),
+    "format": (["export", "out", "--to", "sdf"], 'Choose from: "urdf", "mjcf", "isaaclab"'),
 }
 
 
@@ -143,7 +143,7 @@ complete_now torchrbd schema ""
     assert commands == ["diagnose"]
     assert options == ["--holdout", "--holdout-fraction"]
     assert values == [
-        ["urdf", "mjcf"],
+        ["urdf", "mjcf", "isaaclab"],
         ["ridge"],
         list(torchrbd.known_effects()),
         ["stribeck_friction"],

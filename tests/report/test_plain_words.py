@@ -266,6 +266,7 @@ def recording_remarks() -> list[Remark]:
 def input_remarks() -> list[Remark]:
     joint, some = {"joint": "joint1"}, {"recordings": ["a.csv"]}
     intervals = {"estimator": "ols", "was_physical": False, "with_intervals": ["physical", "smoother", "moments"]}
+    gain = {"joint": "joint1", "kind": "kp", "value": 20.0, "low": 15.0, "high": 31.0}
     return [
         Remark("no changing torque", joint),
         Remark("no temperature", {"joints": ["joint1"]}, "a.csv"),
@@ -281,6 +282,7 @@ def input_remarks() -> list[Remark]:
         Remark("estimator failed", {"error": "singular matrix"}),
         Remark("no intervals", intervals),
         Remark("combinations of the URDF", {"kept": 3, "of": 40}),
+        Remark("estimated gains", {"gains": [gain, gain | {"kind": "torque_constant"}], "units": ["N m/rad", "N m/A"]}),
         *(Remark("passes", {"passes": 4, "settled": settled}) for settled in (True, False)),
         Remark("identified by set-points", {"identified": 38, "of": 40}),
         *(Remark("motion not simulated", values) for values in ({}, {"error": "no torque"})),
@@ -331,6 +333,10 @@ def export_remarks() -> list[Remark]:
         Remark("following joints", joints),
         *(Remark("limits", {**joints, "fault": fault}) for fault in ("one side", "empty", "effort")),
         Remark("velocity limits"),
+        Remark("lag of a drive", joints),
+        Remark("joints without drive", joints),
+        Remark("file for Isaac Lab", {"robot": "arm"}),
+        Remark("step of the physics"),
         Remark("shapes"),
         Remark("massless link", {"link": "hand", "least": 1e-12}),
         Remark("link without width", {"link": "hand", "lift": 1e-12}),

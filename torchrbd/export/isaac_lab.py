@@ -25,21 +25,17 @@ from torchrbd.model import RigidBodyDynamics
 # Attributes of MJCF's <joint> that Isaac Lab has, and what it calls them.
 _NAMES = {"armature": ("armature",), "frictionloss": ("friction", "dynamic_friction"), "damping": ("viscous_friction",)}
 _FILE = '''\
-"""Actuators of {robot} for Isaac Lab, identified by torchrbd.
-
-Import the identified URDF, and set ``actuators=ACTUATORS`` in its ArticulationCfg. Friction needs Isaac Sim 5.0 or
-later.
+"""{about}
 {lacking}"""
 
-from isaaclab.actuators import {kind}
+from isaaclab.actuators import DelayedPDActuatorCfg
 
-# Time step of the physics [s]: set it to that of your simulation.
+{step}
 PHYSICS_DT = 0.005
-# Delay of the set-points [s].
-DELAY = {delay!r}
+DELAY = {delay!r}  # s
 
 ACTUATORS = {{
-    "drives": {kind}(
+    "drives": DelayedPDActuatorCfg(
 {arguments}
     )
 }}
@@ -68,13 +64,11 @@ def to_isaac_lab(model: RigidBodyDynamics) -> bytes:
     }
     lines = [f"        {key}={_literal(value)}," for key, value in arguments.items()]
     lines += [f"        {key}=round(DELAY / PHYSICS_DT)," for key in ("min_delay", "max_delay")]
-    lacking = [str(one) for one in not_in_isaac_lab(model)]
+    lacking = [f"- {one}" for one in not_in_isaac_lab(model)]
     text = _FILE.format(
-        robot=model.robot.name,
-        lacking="".join(
-            f"{line}\n" for line in (["", "Not in this file:", *(f"- {one}" for one in lacking)] if lacking else [])
-        ),
-        kind="DelayedPDActuatorCfg",
+        about=Remark("file for Isaac Lab", {"robot": model.robot.name}),
+        lacking="\n".join(["", str(Remark("what the file lacks")), *lacking, ""] if lacking else []),
+        step=f"# {Remark('step of the physics')}",
         delay=delay,
         arguments="\n".join(lines),
     )

@@ -87,6 +87,12 @@ def _limits(joints: Sequence[str], fault: str) -> str:
 
 
 EXPORTED: dict[str, Callable[..., str]] = {
+    "file for Isaac Lab": lambda robot: (
+        f"Actuators of {robot} for Isaac Lab, identified by torchrbd.\n\n"
+        "Import the identified URDF without its joints' friction, and set actuators=ACTUATORS in its ArticulationCfg.\n"
+        "Friction needs Isaac Sim 5.0 or later"
+    ),
+    "step of the physics": lambda: "time step of your simulation [s]",
     "joints without drive": lambda joints: f"{', '.join(joints)}: no drive is known",
     "lag of a drive": lambda joints: (
         f"lag of {', '.join(joints)}: that of a torque, and an actuator that follows set-points has none"
