@@ -207,3 +207,14 @@ def test_robots_are_drawn_for_simulators(tmp_path, capsys):
     capsys.readouterr()
     assert main(["export", str(folder / "out"), "--to", "mjcf", "--samples", "0", "-o", str(folder / "none")]) == 2
     assert "--samples: expected 1 to 10000, got 0" in capsys.readouterr().err
+
+
+def test_torques_far_beyond_the_urdfs_limit_are_improbable(tmp_path):
+    folder, mapping = case(tmp_path, 0.0), unknown(tmp_path, kd=False)
+    weak, strong = torchrbd.RobotModel.from_urdf(URDF), torchrbd.RobotModel.from_urdf(URDF)
+    for robot, limit in ((weak, 5.0), (strong, 1e6)):
+        robot.effort.fill_(limit)
+    less, more = (gains_of(folder, robot, mapping=mapping) for robot in (weak, strong))
+    for joint in joint_names(URDF):
+        assert less[joint].high <= more[joint].high
+    assert less[joint_names(URDF)[0]].high < 0.98 * more[joint_names(URDF)[0]].high

@@ -11,7 +11,9 @@ too, pi ~ N(pi_0, S S') as in the URDF's prior, which changes g_hat by g e, e = 
     p(log k | x) ~ N(g_hat; 1 / k, s^2 + (e / k)^2) N(log k; log c, (log 10)^2)
 
 with a centre c that matters only where the data show nothing. Viscous friction is not negative, and the damping kd of a
-drive, where it is given, is a part of the coefficient f_v of the velocity: P(f_v > kd / k) is a factor, too.
+drive, where it is given, is a part of the coefficient f_v of the velocity: P(f_v > kd / k) is a factor, too. So is what
+the URDF says of the effort: limits are often wrong by a factor, rarely by ten, so that the probability of a torque k x
+of e times the limit, root mean square, falls as e^-3.
 
 Source: Frisch and Waugh, "Partial time regressions as compared with individual trends", Econometrica 1933 (u~); Newey
     and West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix",
@@ -45,6 +47,8 @@ _CENTRES, _DECADE = {"kp": 30.0, "torque_constant": 0.1}, math.log(10.0)
 _REACH, _POINTS, _IMPROBABLE = 5.0, 4001, 20.0
 # Part of the squared torque of the bodies that friction does not explain, below which the data show nothing.
 _LEAST = 1e-9
+# Power by which torques beyond the URDF's effort limit are less probable.
+_LIMIT_POWER = 3.0
 
 Density = Callable[[Tensor], Tensor]
 """Log of a probability density, of slopes 1 / k."""
@@ -94,6 +98,8 @@ def with_estimated_gains(
                 bodies[here][:, own_bodies],
                 prior.scale[own_bodies][:, :n],
                 (place, drives[0].kd if drives else 0.0),
+                float(robot.effort[j]) or math.inf,
+                float(training.torque[here, j, 0].sum()),
             )
             kind = "kp" if drives else "torque_constant"
             found.append(Gain(joint, kind, *_quantiles(density, _CENTRES[kind])))
@@ -148,24 +154,29 @@ def _partial(moments: Tensor, k: int) -> tuple[float, float, Tensor]:
     return found, math.sqrt(float(spread) * blocks / max(blocks - 1, 1)) / square, own / square
 
 
-def _log_probability(moments: Tensor, bodies: Tensor, scale: Tensor, damping: tuple[int, float]) -> Density:
+def _log_probability(
+    moments: Tensor, bodies: Tensor, scale: Tensor, damping: tuple[int, float], effort: float, count: float
+) -> Density:
     """Return log p(k | x) without its prior, as a function of slopes 1 / k.
 
     Args:
         moments, bodies: see ``_taken``.
         scale: (b, r) root of the prior covariance of the bodies.
         damping: among F, the column of viscous friction; and kd of the drive, which is a part of it.
+        effort: the URDF's limit [N m, N].
+        count: weight of all samples.
     """
+    least = math.sqrt(float(moments[:, -1, -1].sum()) / max(count, 1.0)) / effort
     G, take = _taken(moments, bodies)
     g, error, weights = _partial(G, 0)
     viscous, viscous_error, _ = _partial(G, 1 + damping[0])
     moved = float((scale.mT @ (moments @ take @ weights).sum(0)[: len(scale)]).norm())
 
     def density(slope: Tensor) -> Tensor:
-        found = torch.zeros_like(slope)
+        found = -_LIMIT_POWER * (least / slope).clamp_min(1.0).log()
         if math.isfinite(error):
             variance = error**2 + (slope * moved).square()
-            found = -0.5 * (g - slope).square() / variance - 0.5 * variance.log()
+            found = found - 0.5 * (g - slope).square() / variance - 0.5 * variance.log()
         if damping[1] and math.isfinite(viscous_error):
             found = found + torch.special.log_ndtr((viscous - damping[1] * slope) / max(viscous_error, _LEAST))
         return found
