@@ -207,6 +207,8 @@ def test_robots_are_drawn_for_simulators(tmp_path, capsys):
     capsys.readouterr()
     assert main(["export", str(folder / "out"), "--to", "mjcf", "--samples", "0", "-o", str(folder / "none")]) == 2
     assert "--samples: expected 1 to 10000, got 0" in capsys.readouterr().err
+    assert main([*drawn[:-1], str(folder / "map.yaml")]) == 2
+    assert "is a file; with --samples name a folder" in " ".join(capsys.readouterr().err.split())
 
 
 def test_torques_far_beyond_the_urdfs_limit_are_improbable(tmp_path):

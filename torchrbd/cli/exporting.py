@@ -83,10 +83,12 @@ def _export_samples(source: Path, to: str, folder: Path, samples: int, seed: int
     """
     if not 1 <= samples <= _MOST_SAMPLES:
         raise OptionError(f"--samples: expected 1 to {_MOST_SAMPLES}, got {samples}")
+    if folder.exists() and not folder.is_dir():
+        raise OptionError(f"output '{folder}' is a file; with --samples name a folder")
+    check_output(folder / f"robot{_SUFFIXES[to]}")
     robots = BayesianDynamics.load(source).sample_robots(samples, seed)
     digits = len(str(samples - 1))
     files = {f"robot_{k:0{digits}}{_SUFFIXES[to]}": written(_with_signs(robots[k]), to) for k in range(samples)}
-    folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_whole(folder / name, content)
     print_export(folder, not_exported(_with_signs(robots[0]), to), None)

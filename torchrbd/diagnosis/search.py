@@ -308,7 +308,7 @@ class Search(ModelEvidence):
         """Return the search with the load and friction of its model in all features, if its evidence rises by that."""
         if not _uses_load(chosen):
             return None
-        other = self._given(rows_with_load(self.fit(chosen)), self.discrepancy)._with_own_widths(chosen)
+        other = self._with(rows_with_load(self.fit(chosen)), self.discrepancy)._with_own_widths(chosen)
         onwards = chosen
         for k, h in enumerate(chosen):
             if h.candidate.effect.uses_load:
@@ -325,11 +325,11 @@ class Search(ModelEvidence):
         for j in sorted({site.joint for site in sites if site.always and site.joint is not None}):
             for one in trial_widths(self.rows)[:, j]:
                 widths = np.where(np.arange(len(width)) == j, one, best.discrepancy.fit.hyper.rest_width)
-                other = self._given(self.rows.at_widths(widths), self.discrepancy.at_widths(widths))
+                other = self._with(self.rows.at_widths(widths), self.discrepancy.at_widths(widths))
                 best = max(best, other, key=lambda search: search.total(chosen))
         return best
 
-    def _given(self, rows: Rows, discrepancy: Discrepancy) -> Search:
+    def _with(self, rows: Rows, discrepancy: Discrepancy) -> Search:
         """Return the search with other features, curves and noise."""
         return Search(rows, self.effects, discrepancy, self._report, self._done, self._rejected)
 

@@ -64,7 +64,7 @@ def _write(model: RigidBodyDynamics) -> tuple[bytes, tuple[Remark, ...]]:
     upright = torch.eye(4, dtype=torch.float64)
     base = etree.SubElement(world, "body", {"name": _base_name(robot)} | _place(upright, found, None))
     _write_links(base, model, found, not_exported)
-    not_exported += [*_further(robot, found), *_lagging(model, found), *conditions_not_exported(model)]
+    not_exported += [*_further(robot, found), *_lag_remarks(model, found), *conditions_not_exported(model)]
     root.append(comment(f"torchrbd: {Remark('what the file lacks')}"))
     root.extend(comment(str(one)) for one in not_exported)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
@@ -202,7 +202,7 @@ def _actuators(model: RigidBodyDynamics, found: Gathered) -> tuple[etree._Elemen
     return actuators, sensors
 
 
-def _lagging(model: RigidBodyDynamics, found: Gathered) -> list[Remark]:
+def _lag_remarks(model: RigidBodyDynamics, found: Gathered) -> list[Remark]:
     """Return the lags of joints with a position drive, which are not written."""
     followed = {} if model.drives is None else model.drives.of
     pairs = zip(model.robot.joint_names, found.drives, strict=True)

@@ -123,7 +123,7 @@ class Drives:
         """Return the same drives with the stiffness of some joints."""
         return replace(self, of={j: replace(d, kp=kp[j]) if j in kp else d for j, d in self.of.items()})
 
-    def following(self) -> Drives:
+    def with_unit_stiffness(self) -> Drives:
         """Return drives whose torque is the position error, where the stiffness is to be estimated."""
         return replace(self, of={j: d if d.is_known else Drive(1.0) for j, d in self.of.items()})
 

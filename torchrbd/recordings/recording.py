@@ -72,7 +72,7 @@ class Recording:
     def in_own_units(self) -> Recording:
         """The same with factors of one: position errors [rad, m] and currents [A] in place of unknown torques."""
         currents = self._scaled_currents(dict.fromkeys(self.unknown_gains, 1.0))
-        return replace(self, drives=self.drives.following(), _sources=self._sources | currents)
+        return replace(self, drives=self.drives.with_unit_stiffness(), _sources=self._sources | currents)
 
     def _scaled_currents(self, gains: Mapping[str, float]) -> dict[str, tuple[Source, ...]]:
         """Return the sources of torques, those of unknown torque constants with these."""

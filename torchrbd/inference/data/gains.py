@@ -47,8 +47,8 @@ _CENTRES, _DECADE = {"kp": 30.0, "torque_constant": 0.1}, math.log(10.0)
 _REACH, _POINTS, _IMPROBABLE = 5.0, 4001, 20.0
 # Part of the squared torque of the bodies that friction does not explain, below which the data show nothing.
 _LEAST = 1e-9
-# Power by which torques beyond the URDF's effort limit are less probable.
-_LIMIT_POWER = 3.0
+LIMIT_POWER = 3.0
+"""Power by which values beyond a limit of the URDF are less probable."""
 
 Density = Callable[[Tensor], Tensor]
 """Log of a probability density, of slopes 1 / k."""
@@ -114,7 +114,7 @@ def _without_known_parts(robot: RobotModel) -> RobotModel:
     return other
 
 
-def _taken(moments: Tensor, bodies: Tensor) -> tuple[Tensor, Tensor]:
+def _combine(moments: Tensor, bodies: Tensor) -> tuple[Tensor, Tensor]:
     """Return moments (B, q, q) of columns u, F, x, and which of the joint's columns (p + 1, q) these are in each block.
 
     Args:
@@ -160,20 +160,20 @@ def _log_probability(
     """Return log p(k | x) without its prior, as a function of slopes 1 / k.
 
     Args:
-        moments, bodies: see ``_taken``.
+        moments, bodies: see ``_combine``.
         scale: (b, r) root of the prior covariance of the bodies.
         damping: among F, the column of viscous friction; and kd of the drive, which is a part of it.
         effort: the URDF's limit [N m, N].
         count: weight of all samples.
     """
     least = math.sqrt(float(moments[:, -1, -1].sum()) / max(count, 1.0)) / effort
-    G, take = _taken(moments, bodies)
+    G, take = _combine(moments, bodies)
     g, error, weights = _partial(G, 0)
     viscous, viscous_error, _ = _partial(G, 1 + damping[0])
     moved = float((scale.mT @ (moments @ take @ weights).sum(0)[: len(scale)]).norm())
 
     def density(slope: Tensor) -> Tensor:
-        found = -_LIMIT_POWER * (least / slope).clamp_min(1.0).log()
+        found = -LIMIT_POWER * (least / slope).clamp_min(1.0).log()
         if math.isfinite(error):
             variance = error**2 + (slope * moved).square()
             found = found - 0.5 * (g - slope).square() / variance - 0.5 * variance.log()

@@ -80,7 +80,7 @@ def _mapping(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> dict[s
     if h.kind == "gravity":
         return {}
     if h.kind == "torque gain":
-        return {"joints": in_general(_currents(h, joints, prepared), prepared)}
+        return {"joints": generalise_entries(_currents(h, joints, prepared), prepared)}
     if h.kind == "time unit":
         column = source_of(prepared, "t", prepared.robot.joint_names[0]).column
         return {"time": {"column": column, "unit": h.unit}}
@@ -96,7 +96,7 @@ def _mapping(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> dict[s
         for signal, kinds in (("tau", ("torque sign", "direction")), ("q", ("position sign", "direction"))):
             if h.kind in kinds:
                 own[signal] = entry_of(source_of(prepared, signal, name), turned=True)
-    return {"joints": in_general(entries, prepared)}
+    return {"joints": generalise_entries(entries, prepared)}
 
 
 def _currents(h: Hypothesis, joints: Sequence[str], prepared: Prepared) -> dict[str, dict[str, Any]]:
@@ -145,7 +145,7 @@ def entry_of(source: Source, *, unit: str = "", turned: bool = False) -> dict[st
     return entry if len(entry) > 1 else source.column
 
 
-def in_general(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str, dict[str, Any]]:
+def generalise_entries(entries: dict[str, dict[str, Any]], prepared: Prepared) -> dict[str, dict[str, Any]]:
     """Return one entry for all joints where the columns are called after them."""
     if len(entries) < 2 or len(entries) < prepared.robot.n_dof:
         return entries

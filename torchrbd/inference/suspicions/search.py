@@ -32,6 +32,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrbd.inference.data.gains import LIMIT_POWER
 from torchrbd.inference.preparation import Prepared
 from torchrbd.inference.suspicions.clipping import clipped_torques
 from torchrbd.inference.suspicions.correcting import suspicion, too_fast
@@ -48,7 +49,6 @@ from torchrbd.robot import RobotModel
 
 BOUND = math.log(1000.0)
 """Log odds from which on something is suspected."""
-_LIMIT_POWER = 3.0
 _TIGHT, _GAIN_COST = 10.0, 5.0
 # A speed beyond the limit that no reading mends; peaks over the RMS that motions have.
 _FAR, _PEAK = 30.0, 5.0
@@ -72,10 +72,10 @@ def suspicions(prepared: Prepared) -> Suspicions:
     """Return what is suspected of the recordings; nothing where a simulation replaces the URDF."""
     if prepared.reading.simulated:
         return NO_SUSPICIONS
-    # Torques of drives that follow other set-points say nothing else.
-    if followed := set_point_suspicions(prepared, BOUND):
-        return Suspicions(tuple(followed), TESTED)
     samples = Samples(prepared)
+    # Torques of drives that follow other set-points say nothing else.
+    if followed := set_point_suspicions(prepared, samples.nats, BOUND):
+        return Suspicions(tuple(followed), TESTED)
     if not bool(samples.judged.any()):
         return NO_SUSPICIONS
     robot, surveys = prepared.robot, prepared.reading.surveys
@@ -147,14 +147,14 @@ def _tried(samples: Samples, prepared: Prepared, now: Writing, base: Explained) 
         if h.writing.motion not in shapes:
             shapes[h.writing.motion] = samples.shape(h.writing)
         ratio = own / shapes[h.writing.motion].error(h.writing)
-        limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
+        limits = LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
         odds = samples.nats * float(ratio[samples.judged].log().sum()) + limits
         if odds > 0:
             promising.append((odds, h))
     found = []
     for _, h in sorted(promising, key=lambda pair: -pair[0])[:_MOST_FITTED]:
         explained = samples.explained(h.writing)
-        limits = _LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
+        limits = LIMIT_POWER * (beyond - _beyond(robot, surveys, h.writing))
         odds = samples.odds(base, explained) + limits
         found.append(_Tried(h, explained, odds, base.known / explained.known))
     return sorted(found, key=lambda one: -one.log_odds)

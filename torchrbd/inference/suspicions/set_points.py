@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 
 from torchrbd.inference.preparation import Prepared
-from torchrbd.inference.suspicions.correcting import entry_of, in_general, source_of
+from torchrbd.inference.suspicions.correcting import entry_of, generalise_entries, source_of
 from torchrbd.inference.suspicions.results import Meaning, Suspicion
 from torchrbd.recordings import Recording
 
-# Blocks of time that count at most: what a drive does, it does in all of them.
-_MOST_BLOCKS = 8
 _DEGREE, _SWAPPED = math.pi / 180.0, "swapped set-points"
 
 
@@ -45,26 +43,27 @@ class _Moments:
         return min(self.error(j, j), self.var[j]) / self.error(j, k, scale)
 
 
-def set_point_suspicions(prepared: Prepared, bound: float) -> list[Suspicion]:
+def set_point_suspicions(prepared: Prepared, nats: float, bound: float) -> list[Suspicion]:
     """Return what set-points seem to mean instead of what they say.
 
     Args:
         prepared: the data.
+        nats: what a squared error that falls to 1 / e is worth at one joint, N/2.
         bound: log odds from which on something is suspected.
     """
     recordings = [r for r in prepared.recordings if r.name in prepared.fitted and r.drives.of]
     if not recordings:
         return []
     driven = recordings[0].drives.index
-    moments, half = _moments(recordings), 0.5 * min(len(prepared.training), _MOST_BLOCKS)
+    moments = _moments(recordings)
     names, found = prepared.robot.joint_names, list[Suspicion]()
     for kind, joints, log_gain, entries in _writings(moments, driven, prepared):
-        if half * log_gain > bound:
+        if nats * log_gain > bound:
             every = len(joints) == len(driven) > 1 and kind != _SWAPPED
             where = () if every else tuple(names[j] for j in joints)
-            mapping = {"joints": in_general({name: {"q_ref": one} for name, one in entries.items()}, prepared)}
+            mapping = {"joints": generalise_entries({name: {"q_ref": one} for name, one in entries.items()}, prepared)}
             times = math.exp(log_gain / len(joints))
-            found.append(Suspicion(kind, where, half * log_gain, times, Meaning(kind, where), mapping=mapping))
+            found.append(Suspicion(kind, where, nats * log_gain, times, Meaning(kind, where), mapping=mapping))
     return sorted(found, key=lambda one: -one.log_odds)[:1]
 
 

@@ -78,7 +78,7 @@ def _currents(one: Suspicion) -> str:
     )
 
 
-def _followed(one: Suspicion) -> str:
+def _set_points(one: Suspicion) -> str:
     """Say how much better joints follow other set-points than those that the table has."""
     where, follow = " and ".join(one.joints) or "all joints", "follow" if len(one.joints) != 1 else "follows"
     other = "each other's set-points" if one.kind == "swapped set-points" else one.kind
@@ -91,7 +91,7 @@ def _evidence(one: Suspicion) -> str:
     if one.kind in special:
         return special[one.kind](one)
     if "set-points" in one.kind:
-        return _followed(one)
+        return _set_points(one)
     joints, meaning = one.meaning.joints, _noun(one.meaning)
     if one.kind == "torque sign" and len(joints) == 1:
         return f"tau_{joints[0]} fits {_number(one.times)} times better with the opposite sign"
