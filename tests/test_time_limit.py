@@ -115,9 +115,9 @@ def test_the_first_interrupt_finishes_with_what_was_found(
     ranking, before = import_module("torchrbd.diagnosis.ranking"), signal.getsignal(kind)
     search_effects = ranking.search_effects
 
-    def stops_after_one(base: Any, effects: Any, report: Callable[[float], None]) -> Any:
-        def stop(part: float) -> None:
-            report(part)
+    def stops_after_one(base: Any, effects: Any, report: Callable[[float, int], None]) -> Any:
+        def stop(part: float, terms: int) -> None:
+            report(part, terms)
             os.kill(os.getpid(), kind)
 
         return search_effects(base, effects, stop)

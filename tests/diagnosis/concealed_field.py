@@ -64,7 +64,7 @@ def background(one: Case, *recordings: Recording) -> SearchOutcome:
         return torch.zeros(len(t), dtype=torch.bool)
 
     clocks = in_band(reading, band_hz(reading.surveys), kept_back, frozenset())
-    return search_effects(clocks.fit, (), lambda _: None)
+    return search_effects(clocks.fit, (), lambda *_: None)
 
 
 def case(seed: int, concealed: Concealed | None = None, size: float = 0.08, *, duration_s: float = DURATION_S) -> Case:

@@ -38,7 +38,7 @@ def by_place(found: SearchOutcome) -> Found:
 @pytest.fixture(scope="module")
 def explanation() -> SearchOutcome:
     """Return what is found where a rotor is missing at the second joint."""
-    return search_effects(fitted(ROTOR), [effect(name) for name in EFFECTS], lambda _: None)
+    return search_effects(fitted(ROTOR), [effect(name) for name in EFFECTS], lambda *_: None)
 
 
 @pytest.fixture(scope="module")

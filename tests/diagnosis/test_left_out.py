@@ -117,7 +117,7 @@ def test_predictions_that_do_not_differ_say_nothing() -> None:
 def test_what_left_out_blocks_reject_is_not_tried_again_and_is_an_unlikely_rival() -> None:
     """With the law of a drag rejected, its power law is found; the drag has what blocks gave for it."""
     fit, effects = fitted(DRAGGED), [effect(e) for e in (DRAG, "power_law_friction", "rotor_inertia")]
-    found = search_effects(fit, effects, lambda _: None)
+    found = search_effects(fit, effects, lambda *_: None)
     (drag,) = (t.own for t in found.terms)
     assert drag.name == (DRAG, Site(0))
     search = Search(found.rows, effects, found.discrepancy, rejected={(drag.name, None): -2.0})

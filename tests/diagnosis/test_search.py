@@ -41,9 +41,9 @@ PULL_SIZE, PULLS_S = 0.8, (6.2, 9.1)
 PULL = at_joint(0, lambda m: PULL_SIZE * ((m.t >= PULLS_S[0]) & (m.t < PULLS_S[1])))
 
 
-def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[SearchOutcome, list[float]]:
-    told: list[float] = []
-    return search_effects(fitted(torque), [effect(name) for name in names], told.append), told
+def searched(torque: Any, names: Sequence[str] = EFFECTS) -> tuple[SearchOutcome, list[tuple[float, int]]]:
+    told: list[tuple[float, int]] = []
+    return search_effects(fitted(torque), [effect(name) for name in names], lambda *said: told.append(said)), told
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,10 @@ def test_what_is_concealed_is_found_and_nothing_else(torque: Any, names: set[tup
     assert len(found.terms) == len(found.fit.extra) == len(names)
     # Each term is a step where it is added, and one where it is judged.
     assert len(told) >= 2 * len(names)
-    assert told == sorted(set(told))
-    assert all(0.0 < part < 1.0 for part in told)
+    parts = [part for part, _ in told]
+    assert parts == sorted(set(parts))
+    assert all(0.0 < part < 1.0 for part in parts)
+    assert max((terms for _, terms in told), default=0) >= len(names)
     for t in found.terms:
         assert t.own.log_evidence > 30
         assert max((t.own, *t.rivals), key=lambda h: log_odds(h, found.rows)) is t.own

@@ -29,7 +29,7 @@ def found() -> SearchOutcome:
             0, lambda m: 0.8 * ((m.t >= PULL_S[0]) & (m.t < PULL_S[1]))
         )(m)
 
-    return search_effects(fitted(torque), EFFECTS, lambda _: None)
+    return search_effects(fitted(torque), EFFECTS, lambda *_: None)
 
 
 def finding(found: SearchOutcome, e: str, joint: int, where: Where | None = None) -> Finding:

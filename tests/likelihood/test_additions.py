@@ -48,6 +48,20 @@ def test_evidence_and_coefficients_are_those_of_the_whole_model(fit: Likelihood,
         np.testing.assert_allclose(small.covariance(k), whole.coefficients_covariance(k), rtol=1e-5, atol=1e-12)
 
 
+def test_components_of_a_model_are_known_from_its_moments(fit: Likelihood, extras: list[Extra]) -> None:
+    whole = fit.extended(extras).rescaled({1: 0.2})
+    got, expected = Additions.of(whole), Additions(fit, whole.extra)
+    assert len(got) == 3
+    assert got.log_evidence == pytest.approx(expected.log_evidence, rel=1e-8)
+    assert got.resistance == pytest.approx(expected.resistance, rel=1e-6)
+    np.testing.assert_allclose(got.friction, expected.friction, rtol=1e-6, atol=1e-10)
+    for k in range(3):
+        np.testing.assert_allclose(got.coefficients(k), expected.coefficients(k), rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(got.covariance(k), expected.covariance(k), rtol=1e-6, atol=1e-14)
+    with pytest.raises(AssertionError, match="moments"):
+        got.with_(extras[:1])
+
+
 def test_resistance_is_that_of_draws(fit: Likelihood, extras: list[Extra]) -> None:
     """A component that is friction itself leaves the sign of the machine's friction open."""
     at = fit.machine.friction.index

@@ -70,18 +70,19 @@ def test_posterior_is_that_of_the_stacked_rows() -> None:
     C = np.linalg.inv(X.T @ X + np.eye(N_COEFFICIENTS))
     np.testing.assert_allclose(got.z, C @ X.T @ y, rtol=1e-10)
     np.testing.assert_allclose(got.covariance([4, 0]), C[np.ix_([4, 0], [4, 0])], rtol=1e-10)
-    np.testing.assert_allclose(np.concatenate(got.left), y - X @ got.z, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.concatenate([got.left(j) for j in range(3)]), y - X @ got.z, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("units", [1.0, 1e6])
-def test_posterior_of_normal_equations_is_that_of_the_rows_left(units: float) -> None:
-    """Whatever the units of a coefficient, leaving rows out is subtraction, and columns beside are projected."""
+def test_posterior_of_normal_equations_is_that_of_the_rows(units: float) -> None:
+    """Whatever the units of a coefficient; additional columns are projected."""
     rng = np.random.default_rng(13)
     X, y, C = rng.normal(size=(20, 4)), rng.normal(size=20), rng.normal(size=(20, 2))
     X[:, 1] *= units
     prior = np.diag([1.0, units**2, 1.0, 1.0])
-    whole, left = Posterior(X.T @ X + prior, X.T @ y), X[:15]
-    got, H = whole.without(X[15:].T @ X[15:], X[15:].T @ y[15:]), left.T @ left + prior
+    left = X[:15]
+    H = left.T @ left + prior
+    got = Posterior(H, left.T @ y[:15])
     np.testing.assert_allclose(got.z, np.linalg.solve(H, left.T @ y[:15]), rtol=1e-9)
     np.testing.assert_allclose(got.root.matrix @ got.root.matrix.T, H, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(got.root.matrix @ got.half(H), H, rtol=1e-9, atol=1e-9)
@@ -195,7 +196,26 @@ def test_among_is_the_model_that_was_built_without() -> None:
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
     for j in range(3):
         assert got.used(j) == pytest.approx(alone.used(j))
-        np.testing.assert_allclose(got.left[j], alone.left[j], atol=1e-12)
+        np.testing.assert_allclose(got.left(j), alone.left(j), atol=1e-12)
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_without_is_the_posterior_of_the_other_rows(grouped: bool) -> None:
+    blocks, local = problem(15), [np.zeros(0, int), np.array([4, 6]), np.array([5, 3])] if grouped else []
+    blocks[1] = blocks[1].sized(np.array([0.5, 2.0, 1.5])).louder(3.0)
+    sites = np.zeros((3, N_COEFFICIENTS))
+    sites[:2, 4] = 2.5, -1.2
+    first = Quadratic(2.0 * np.eye(3), np.array([0.3, -0.1, 0.2]), -0.7)
+    rows = [np.array([0, 4, 5]), np.zeros(0, int), np.array([11])]
+    got = Gaussian(blocks, N_COEFFICIENTS, first, sites, local).without(rows)
+    kept = [np.setdiff1d(np.arange(len(b.y)), r) for b, r in zip(blocks, rows, strict=True)]
+    others = [Block(b.X[:, k], b.y[k], b.own) for b, k in zip(blocks, kept, strict=True)]
+    expected = Gaussian(others, N_COEFFICIENTS, first, sites)
+    np.testing.assert_allclose(got.z, expected.z, rtol=1e-10)
+    assert got.log_evidence == pytest.approx(expected.log_evidence, rel=1e-12)
+    np.testing.assert_allclose(got.H, expected.H, rtol=1e-10, atol=1e-12)
+    for j in range(3):
+        np.testing.assert_allclose(got.left(j), expected.left(j), atol=1e-11)
 
 
 @pytest.mark.parametrize("index", [[3], [1, 6], [0, 2, 5]])
@@ -279,7 +299,7 @@ def test_sites_multiply_the_prior() -> None:
 
 def test_what_joints_have_alone_may_be_eliminated_first() -> None:
     """Coefficients 4 and 6 are of the second block alone, 3 and 5 of the third: nothing else changes."""
-    blocks, local = problem(13), [np.array([4, 6]), np.array([5, 3])]
+    blocks, local = problem(13), [np.zeros(0, int), np.array([4, 6]), np.array([5, 3])]
     sites = np.zeros((3, N_COEFFICIENTS))
     sites[:2, 4] = 2.5, -1.2
     got, dense = (Gaussian(blocks, N_COEFFICIENTS, sites=sites, local=some) for some in (local, []))

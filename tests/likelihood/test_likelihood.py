@@ -82,7 +82,7 @@ def test_residual_is_what_the_coefficients_leave(fit: Likelihood) -> None:
         z_own = z[own] * machine.sizes(j, own, fit.hyper)
         np.testing.assert_allclose(fit.residual(j), machine.target[j] - z_own @ A, atol=1e-9)
         white = fit.hyper.noise[j].white(fit.residual(j))
-        np.testing.assert_allclose(white, fit.gaussian.left[j], atol=1e-9)
+        np.testing.assert_allclose(white, fit.gaussian.left(j), atol=1e-9)
         assert white.var() == pytest.approx(1.0, rel=0.15)
 
 
@@ -190,6 +190,7 @@ def test_rows_that_are_kept_are_those_of_a_model_made_anew(fit: Likelihood) -> N
     features = fit.machine.rows.q
     own = Extra(1, features[1:2] ** 3, np.ones(1))
     other = Extra(None, np.stack((features**2,)), np.ones(1))
+    first = Extra(0, np.stack((features[0] ** 2, np.sin(7.0 * features[0]))), np.array([0.5, 2.0]))
     base = fit.extended([own])
     drift = fit.hyper.drift * [1.0, 2.0]
     noise = (fit.hyper.noise[0], replace(fit.hyper.noise[1], sigma=2.0 * fit.hyper.noise[1].sigma))
@@ -201,6 +202,11 @@ def test_rows_that_are_kept_are_those_of_a_model_made_anew(fit: Likelihood) -> N
         base.with_(rest_width=fit.hyper.rest_width * [1.0, 1.5]),
         base.extended([own, other]).rescaled({0: 3.0, 1: 0.2}),
         base.extended([own, other]).rescaled({1: 0.2}).renoised([0]).rescaled({0: 2.0}),
+        base.extended([other, own]).extended([own]),
+        base.extended([own, other, first]).renoised([1]).extended([own, first]),
+        base.extended([own, first]).rescaled({1: 0.3}).extended([first]).with_(rest_width=2.0 * fit.hyper.rest_width),
+        base.extended([own, first]).least_squares.extended([first]).least_squares,
+        base.extended([own, first]).renoised([1]).bare,
         base.renoised([1], dispersed=True),
     )
     for one in changed:
@@ -215,18 +221,13 @@ def test_dispersion_is_one_for_white_rows_and_more_for_errors_that_last(fit: Lik
     rng = np.random.default_rng(0)
     one, rows = fit.extended(()), fit.machine.rows
     g = one.gaussian
-    n = len(g.left[0])
-    white = [rng.normal(size=n) for _ in range(20)]
-    found = []
-    for e in white:
-        g.left[0] = e
-        found.append(one.dispersion(0))
-    assert np.mean(found) == pytest.approx(1.0, abs=0.15)
-    block = np.unique(rows.block[one.index[0]], return_inverse=True)[1]
-    g.left[0] = (
-        white[0] * np.exp(rng.normal(size=block.max() + 1))[block] + 2.0 * rng.normal(size=block.max() + 1)[block]
-    )
-    assert one.dispersion(0) > 2.0
+    n = len(g.left(0))
+    white, part = [rng.normal(size=n) for _ in range(20)], rows.block[one.index[0]]
+    assert np.mean([g.dispersion(0, part, e) for e in white]) == pytest.approx(1.0, abs=0.15)
+    assert g.dispersion(0, part, g.left(0)) == one.dispersion(0)
+    block = np.unique(part, return_inverse=True)[1]
+    lasting = white[0] * np.exp(rng.normal(size=block.max() + 1))[block] + 2.0 * rng.normal(size=block.max() + 1)[block]
+    assert g.dispersion(0, part, lasting) > 2.0
     assert fit.extended(()).dispersion(0) == pytest.approx(fit.dispersion(0))
 
 

@@ -26,7 +26,7 @@ _EVERY_S, _STILL_S = 2.0, 30.0
 def progress_bar(
     *, time_left: bool = False, shown: bool = True, quiet: bool = False
 ) -> Iterator[Callable[[str, float], None]]:
-    """Say on stderr what is done, if it takes more than two seconds: "torchrbd: 12 s, ranking, 40 %".
+    """Say on stderr what is done, if it takes more than two seconds: "torchrbd: 12 s, fitting, 40 %".
 
     Args:
         time_left: let the bar say how long it will take, where the work is much of the same.

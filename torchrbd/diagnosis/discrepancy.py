@@ -199,15 +199,18 @@ def _with_tails(fit: Likelihood, joint: int | None = None) -> Likelihood:
 def _learn_amplitudes_and_noise(fit: Likelihood, steps: int, joint: int | None = None) -> Likelihood:
     """Return a fit whose amplitudes and noise, at one joint or all, are learnt one after the other."""
     for _ in range(steps):
-        before, fit = fit.log_evidence, _likeliest(fit).renoised(None if joint is None else [joint])
+        before, fit = fit.log_evidence, _likeliest(fit, joint).renoised(None if joint is None else [joint])
         if abs(fit.log_evidence - before) < _SETTLED:
             break
     return fit
 
 
-def _likeliest(fit: Likelihood) -> Likelihood:
-    """Return a fit whose additional columns have the amplitudes of greatest evidence."""
-    before, curves = Additions(fit, fit.extra), range(len(fit.extra))
+def _likeliest(fit: Likelihood, joint: int | None = None) -> Likelihood:
+    """Return a fit whose additional columns, at one joint or all, have the amplitudes of greatest evidence."""
+    curves = [k for k, e in enumerate(fit.extra) if joint is None or joint in e.joints]
+    if not curves:
+        return fit
+    before = Additions.of(fit) if joint is None else Additions.of(fit).around(curves)
     after = before.likeliest(curves)
     sizes = ((k, after.std[before.at(k)].max() / before.std[before.at(k)].max()) for k in curves)
     return fit.rescaled({k: float(ratio) for k, ratio in sizes})

@@ -77,12 +77,12 @@ class Edges:
         heavy its tails: what leaps may be a row that errs, or an edge.
         """
         z2 = np.zeros(len(self.rows.t))
-        for noise, left in zip(self.fit.hyper.noise, self.fit.gaussian.left, strict=True):
+        for j, noise in enumerate(self.fit.hyper.noise):
             around = np.pad(self.step, (len(noise.predictor), 0), constant_values=1.0)
             d = np.convolve(around, np.append(1.0, -noise.predictor))[len(noise.predictor) :]
             n, power = np.zeros((2, len(z2)))
             usual = noise.sigma * noise.spread[noise.index]
-            n[noise.index], power[noise.index] = left * noise.size / usual**2, usual**-2.0
+            n[noise.index], power[noise.index] = self.fit.gaussian.left(j) * noise.size / usual**2, usual**-2.0
             ends = self.reach, len(d) - self.reach - 1
             found, most = (np.correlate(np.pad(x, ends), y) for x, y in ((n, d), (power, d**2)))
             z2 += np.divide(found**2, most, out=np.zeros_like(z2), where=most > 0)

@@ -102,15 +102,9 @@ def _add_fold(
         terms: their numbers.
         gains, squares: (K, B) sums of all terms, changed here.
     """
-    g, left = fit.gaussian, list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]()
-    H, h = np.zeros_like(g.H), np.zeros_like(g.h)
-    for own, index in zip(g.blocks, fit.index, strict=True):
-        at = np.flatnonzero(out[block[index]])
-        X, y = own.of_rows(at), own.y[at]
-        H[np.ix_(own.own, own.own)] += X @ X.T
-        h[own.own] += X @ y
-        left.append((own.own, X, y, block[index[at]]))
-    rest = g.without(H, h)
+    each = [np.flatnonzero(out[block[index]]) for index in fit.index]
+    rest, parts = fit.gaussian.without(each), zip(fit.blocks, each, fit.index, strict=True)
+    left = [(b.own, b.of_rows(at), b.y[at], block[index[at]]) for b, at, index in parts]
     for k in terms:
         at = fit.further(k)
         unit = np.zeros((len(rest.z), len(at)))

@@ -71,7 +71,7 @@ def locate(
 
 def _without_laws(found: SearchOutcome, report: Callable[[float], None]) -> tuple[list[Location], Likelihood]:
     """Return the locations that hypotheses without a law find in the base, and the model with these."""
-    search = Search(found.discrepancy.rows, list(_FORMS), found.discrepancy, report)
+    search = Search(found.discrepancy.rows, list(_FORMS), found.discrepancy, lambda part, _: report(part))
     chosen, _ = search.improve([], search.rank([]))
     chosen = search.with_other_curves(chosen)
     every = [*search.conditional(chosen), *search.own_curves(chosen)]

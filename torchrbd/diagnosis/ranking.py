@@ -146,13 +146,13 @@ def run_search(reading: Reading, settings: Settings, kept_back: KeptBack, progre
     surveys = [reading.surveys[k] for k in not_held_out(reading, kept_back)]
     band = settings.cutoff_hz or band_hz(surveys, reading.filtering.low_pass)
 
-    def report(part: float) -> None:
-        progress("ranking", part)
+    def report(part: float, terms: int) -> None:
+        progress(f"searching, {terms} effects in the model", part)
 
     try:
         clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)
         fit = clocks.fit
-        progress("ranking", 0.0)
+        progress("learning the noise, with curves for what the model lacks", 0.0)
         found = search_effects(fit, effects, report)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in reading.recordings)

@@ -51,7 +51,7 @@ Drop = Callable[[list[Hypothesis]], list[Hypothesis]]
 def search_effects(
     base: Likelihood,
     effects: Sequence[Effect],
-    report: Callable[[float], None],
+    report: Callable[[float, int], None],
     discrepancy: Discrepancy | None = None,
 ) -> SearchOutcome:
     """Search among effects, and leave to curves what these do not explain.
@@ -59,7 +59,8 @@ def search_effects(
     Args:
         base: rigid body and baseline friction.
         effects: what may be there.
-        report: called after each step with the part of the work that is done, which rises.
+        report: called after each step with the part of the work that is done, which rises, and the number of effects
+            in the model.
         discrepancy: curves and noise of the same base, if they are known.
     """
     discrepancy = discrepancy or learn_discrepancy(base)
@@ -103,7 +104,7 @@ class Search(ModelEvidence):
         rows: that features are built from.
         effects: what may be there.
         discrepancy: curves and noise.
-        report: called after each step with the part of the work that is done.
+        report: called after each step with the part of the work that is done, and the number of effects in the model.
         done: that part so far.
         rejected: kinds of hypotheses that do not predict left-out blocks, and the evidence of these.
     """
@@ -113,7 +114,7 @@ class Search(ModelEvidence):
         rows: Rows,
         effects: Sequence[Effect],
         discrepancy: Discrepancy,
-        report: Callable[[float], None] = lambda _: None,
+        report: Callable[[float, int], None] = lambda *_: None,
         done: float = 0.0,
         rejected: Mapping[Kind, float] | None = None,
     ) -> None:
@@ -122,9 +123,9 @@ class Search(ModelEvidence):
         # Models and terms for which no rival was likelier, and their rivals.
         self._known_rivals = dict[tuple[Key, Key], list[Hypothesis]]()
 
-    def _advance(self) -> None:
+    def _advance(self, chosen: Sequence[Hypothesis]) -> None:
         self._done += _STEP * (1.0 - self._done)
-        self._report(self._done)
+        self._report(self._done, sum(not is_curve(h.candidate) for h in chosen))
 
     def rank(self, chosen: Sequence[Hypothesis], wanted: PlaceFilter = anywhere) -> list[Hypothesis]:
         """Return what is likeliest given a model, with refined shapes, then all others."""
@@ -229,7 +230,7 @@ class Search(ModelEvidence):
             before, offered = chosen, [*chosen, *leaders]
             chosen = drop(offered)
             dropped |= {h.candidate for h in offered} - {h.candidate for h in chosen}
-            self._advance()
+            self._advance(chosen)
             if key_of(chosen) != key_of(before):
                 found, all_found = self.rank(chosen, self._likely_places(found)), False
         return chosen, found if all_found else self.rank(chosen)
@@ -285,7 +286,7 @@ class Search(ModelEvidence):
             if key_of([best]) == key_of([h]):
                 self._known_rivals[known] = rivals
             chosen = [*chosen[:k], best, *chosen[k + 1 :]]
-            self._advance()
+            self._advance(chosen)
         return chosen
 
     def rivals(self, rest: Sequence[Hypothesis], h: Hypothesis) -> list[Hypothesis]:
@@ -362,7 +363,7 @@ class Search(ModelEvidence):
             if judged[0].candidate not in [h.candidate for h in after]:
                 break
             chosen = after
-            self._advance()
+            self._advance(chosen)
         return chosen
 
     def final(self, terms: Sequence[Term]) -> tuple[Likelihood, tuple[Term, ...]]:

@@ -65,7 +65,7 @@ def with_stability(
     rng, models = np.random.default_rng(seed), list[list[Candidate]]()
     for k in range(count):
         discrepancy = reweight(found, rng)
-        search = Search(found.rows, effects, discrepancy, lambda part, k=k: report((k + part) / count))
+        search = Search(found.rows, effects, discrepancy, lambda part, _, k=k: report((k + part) / count))
         model = _find_terms(search)
         if is_over():
             break

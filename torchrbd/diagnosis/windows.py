@@ -326,7 +326,7 @@ def _sums(
     if len(sharp):
         cross = np.zeros((len(sharp), len(fit.gaussian.z), len(F)))
         for joint, own in _by_joint(fit, place, F):
-            block, left = fit.gaussian.blocks[joint], fit.gaussian.left[joint]
+            block, left = fit.blocks[joint], fit.gaussian.left(joint)
             leap, going, row = edges.leap(joint, own, at[sharp])
             gram[sharp] += leap @ leap.transpose(0, 2, 1)
             passed[sharp] += leap @ going.transpose(0, 2, 1)
@@ -377,10 +377,10 @@ def moments(
             continue
         seen, first = np.unique(of_rows[inside], return_index=True)
         edges = np.append(inside[first], inside[-1] + 1)
-        b, C = fit.gaussian.blocks[j], fit.hyper.noise[j].white(own)
+        b, C = fit.blocks[j], fit.hyper.noise[j].white(own)
         cross[np.ix_(seen, b.own)] += b.in_parts(C, edges)
         gram[seen] += np.stack([C[:, begin:end] @ C[:, begin:end].T for begin, end in pairwise(edges)])
-        score[seen] += np.add.reduceat((C * fit.gaussian.left[j])[:, : edges[-1]], edges[:-1], axis=1).T
+        score[seen] += np.add.reduceat((C * fit.gaussian.left(j))[:, : edges[-1]], edges[:-1], axis=1).T
     return _halves(fit, place, cross), gram, score
 
 

@@ -48,8 +48,8 @@ class Additions:
     """
 
     def __init__(self, fit: Likelihood, extra: Sequence[Extra] = ()) -> None:
-        free, at = np.zeros_like(fit.hyper.resists), fit.machine.positive
-        self._machine, self.std, self._at = fit.extended(()).with_(resists=free), np.zeros(0), dict[int, np.ndarray]()
+        at = fit.machine.positive
+        self._machine, self.std, self._at = fit.bare, np.zeros(0), dict[int, np.ndarray]()
         self._S, self._r, self._white = np.zeros((0, 0)), np.zeros(0), tuple[White, ...]()
         self._V, self._taken = np.zeros((len(self._machine.gaussian.z), 0)), np.zeros((len(at), 0))
         self._friction = self._machine.gaussian.z[at]
@@ -57,12 +57,35 @@ class Additions:
         self._others, self._given = dict[int, bool](), 0.0
         self._append(extra)
 
+    @staticmethod
+    def of(fit: Likelihood) -> Additions:
+        """Return the components of a model, from the moments of its rows: ``with_`` cannot add others to these."""
+        own, machine, n = Additions(fit), fit.bare.gaussian, fit.machine.n
+        own.std = np.concatenate([np.zeros(0), *(e.std for e in fit.extra)])
+        own._at = {k: fit.further(k) - n for k in range(len(fit.extra))}
+        K = len(own.std)
+        cross, own._S, own._r = np.zeros((len(machine.z), K)), np.zeros((K, K)), np.zeros(K)
+        for b, first in zip(fit.blocks, machine.blocks, strict=True):
+            k = len(b.own) - len(first.own)
+            at, there = b.own[:k] - n, b.own[k:]
+            # The columns of components that are not in the model are not known, nor needed.
+            size = np.where(own.std[at] > 0, own.std[at], 1.0)
+            across = b.gram[k:, :k] / size
+            cross[np.ix_(there, at)] += across
+            own._S[np.ix_(at, at)] += b.gram[:k, :k] / np.outer(size, size)
+            own._r[at] += b.scores[:k] / size - machine.z[there] @ across
+        own._V = machine.half(cross)
+        own._S -= own._V.T @ own._V
+        own._taken = machine.solve(cross)[fit.machine.positive]
+        return own
+
     def __len__(self) -> int:
         return len(self._at) + len(self._others)
 
     def with_(self, extra: Sequence[Extra]) -> Additions:
         """Return these components and others, where none is integrated out."""
         assert not self._others, "components are added to a model before others are integrated out"
+        assert self._white or not self._at, "the rows of components that are known from moments are not here"
         other = self._copy(self.std)
         other._append(extra)
         return other
@@ -120,7 +143,7 @@ class Additions:
         cross, own, r = np.zeros((len(gaussian.z), K - known)), np.zeros((K, K - known)), np.zeros(K - known)
         for joint, at, C in new:
             cross[np.ix_(gaussian.blocks[joint].own, at - known)] += gaussian.blocks[joint].times(C.T)
-            r[at - known] += C @ gaussian.left[joint]
+            r[at - known] += C @ gaussian.left(joint)
             for there, D in ((one.at, one.columns) for one in (*self._white, *new) if one.joint == joint):
                 own[np.ix_(there, at - known)] += D @ C.T
         V = np.concatenate((self._V, gaussian.half(cross)), axis=1)

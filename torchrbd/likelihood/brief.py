@@ -37,6 +37,10 @@ class Brief:
         """Return some of the columns, kept (S,) bool."""
         return Brief(self.x[np.flatnonzero(kept)], self.rows)
 
+    def among(self, rows: np.ndarray) -> Brief:
+        """Return the columns at some of the rows, (m,) bool."""
+        return Brief(self.x[:, np.flatnonzero(rows)], int(rows.sum()))
+
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return the columns at some rows (...), (S, ...)."""
         return self.x[:, rows.ravel()].toarray().reshape(len(self), *rows.shape)

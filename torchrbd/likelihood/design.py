@@ -92,6 +92,7 @@ class Design:
     further: np.ndarray
     own: np.ndarray
     size: np.ndarray
+    _independent: list[tuple[Noise, Block]] = field(default_factory=list, repr=False)
 
     @staticmethod
     def of(bare: Bare, extras: Extras, joint: int) -> Design:
@@ -106,9 +107,30 @@ class Design:
         pairs = zip(self.extras, extras, strict=False)
         return len(self.extras) == len(extras) and all(k == i and e is one for (k, e), (i, one) in pairs)
 
+    def places(self, extras: Extras, joint: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return which columns (K + P,) some of its additional columns are, and the coefficients of these.
+
+        None if others are among them, or their order differs.
+        """
+        wanted, kept, own = [*extras], list[np.ndarray](), list[np.ndarray]()
+        for _, e in self.extras:
+            there = bool(wanted) and wanted[0][1] is e
+            at = e.at(joint)
+            kept.append(np.full(len(at), there))
+            own.append(wanted.pop(0)[0] + at if there else at)
+        if wanted:
+            return None
+        return np.concatenate((*kept, np.ones(len(self.bare.own), bool))), np.concatenate((*own, self.bare.own))
+
+    def some(self, extras: Extras, kept: np.ndarray, own: np.ndarray) -> Design:
+        """Return the same with some of its additional columns, see ``places``."""
+        further = self.further if kept.all() else self.further[kept[: len(self.further)]]
+        known = [(noise, block.some(kept, own)) for noise, block in self._independent]
+        return Design(self.bare, extras, further, own[kept], self.size[kept], known)
+
     def sized(self, size: np.ndarray) -> Design:
         """Return the same columns with other sizes (K + P,)."""
-        return replace(self, size=size)
+        return self if np.array_equal(size, self.size) else replace(self, size=size)
 
     @property
     def target(self) -> np.ndarray:
@@ -130,8 +152,12 @@ class Design:
         return self._with_further(self.bare.white(noise) if bare is None else bare, noise)
 
     def independent(self, noise: Noise) -> Block:
-        """Return the rows for a noise without memory."""
-        return self._with_further(self.bare.independent(noise), noise)
+        """Return the rows for a noise without memory; those of another level or sizes are multiples, and cached."""
+        if not any(known.spread is noise.spread and known.tail is noise.tail for known, _ in self._independent):
+            plain = replace(self, size=np.ones(len(self.own)))
+            self._independent[:] = [(noise, plain._with_further(self.bare.independent(noise), noise))]
+        ((known, block),) = self._independent
+        return block.louder(noise.sigma / known.sigma).sized(self.size)
 
     def _with_further(self, bare: Block, noise: Noise) -> Block:
         k = len(self.further)
@@ -140,4 +166,4 @@ class Design:
         if not k:
             return replace(bare, size=size, bare=bare)
         lasting = np.concatenate((noise.white(self.further), bare.lasting))
-        return Block(lasting, bare.y, self.own, bare.brief, size, bare)
+        return Block(lasting, bare.target, self.own, bare.brief, size, bare.level, bare)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,7 +27,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from torchrbd.likelihood.block import Block
-from torchrbd.likelihood.root import ROUNDING, Root, forwards
+from torchrbd.likelihood.root import ROUNDING, Eliminated, Root, forwards
 
 # Sweeps over the sites of truncated coefficients, and the least fraction of its variance that a truncation keeps.
 _SWEEPS, _LEAST_VARIANCE = 8, 1e-6
@@ -68,7 +67,7 @@ class Posterior:
         H: (P, P) precision.
         h: (P,) shift.
         rounding: fraction of its diagonal that is added to H.
-        local: groups of coefficients without products between groups, see ``Root``.
+        local: groups of coefficients without products between groups, see ``Root.of``.
 
     Attributes:
         root: of the precision.
@@ -81,7 +80,11 @@ class Posterior:
     def __init__(
         self, H: np.ndarray, h: np.ndarray, rounding: float = ROUNDING, local: Sequence[np.ndarray] = ()
     ) -> None:
-        self.H, self.h, self.root = H, h, Root(H, local, rounding)
+        self._solve(Root.of(H, local, rounding), h)
+        self.H = H
+
+    def _solve(self, root: Root, h: np.ndarray) -> None:
+        self.root, self.h = root, h
         self.z = self.solve(h)
 
     def half(self, B: np.ndarray) -> np.ndarray:
@@ -112,10 +115,6 @@ class Posterior:
         P = S[:k, :k] - S[:k, k:] @ across[:, :k]
         return 0.5 * (P + P.T), shift[:k] - S[:k, k:] @ across[:, k]
 
-    def without(self, H: np.ndarray, h: np.ndarray) -> Posterior:
-        """Return the posterior without rows that have X'X = H (P, P) and X'y = h (P,)."""
-        return Posterior(self.H - H, self.h - h, local=[one.own for one in self.root.local])
-
     def covariance(self, index: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the posterior covariance of some coefficients, (K, K)."""
         return self.root.covariance(np.asarray(index, dtype=int))
@@ -136,12 +135,16 @@ class Posterior:
 class Gaussian(Posterior):
     """The posterior of coefficients z (P,), given one block of whitened rows per joint.
 
+    What each block says of the coefficients that it shares is remembered there, so that another model costs only the
+    blocks that are new in it.
+
     Args:
         blocks: one per joint.
         n: number of coefficients P.
         first: log prior density of the first of them; the others have N(0, 1).
         sites: factors (3, P) that multiply the prior, see ``nonnegative``.
-        local: indices of coefficients that only one block has, none of them among the first.
+        local: per block, the indices of the coefficients that only this block has, none of them among the first; if
+            not given, none are known.
 
     Attributes:
         log_evidence: of the rows, in units of their noise.
@@ -155,32 +158,51 @@ class Gaussian(Posterior):
         sites: np.ndarray | None = None,
         local: Sequence[np.ndarray] = (),
     ) -> None:
-        H, h, self._constant = np.zeros((n, n)), np.zeros(n), 0.0
-        H[np.diag_indices(n)] = 1.0
-        for b in blocks:
-            H[np.ix_(b.own, b.own)] += b.gram
-            h[b.own] += b.times(b.y)
+        self.blocks, self._first, self._sites = tuple(blocks), first, np.zeros((3, n)) if sites is None else sites
+        self._used, self._left = dict[int, float](), dict[int, np.ndarray]()
+        inside = [np.zeros(len(b.own), bool) for b in blocks]
+        outside = np.ones(n, bool)
+        for j, own in enumerate(local):
+            alone = np.zeros(n, bool)
+            alone[own] = True
+            inside[j] = alone[blocks[j].own]
+            outside[blocks[j].own[inside[j]]] = False
+        number, shared = np.cumsum(outside) - 1, np.flatnonzero(outside)
+        H, parts = np.diag(1.0 + self._sites[0, shared]), list[tuple[np.ndarray, Eliminated]]()
+        h, constant = self._sites[1].copy(), float(self._sites[2].sum())
         if first is not None:
             k = len(first.shift)
             H[:k, :k] += first.precision - np.eye(k)
             h[:k] += first.shift
-            self._constant = first.constant
-        if sites is not None:
-            H[np.diag_indices(n)] += sites[0]
-            h += sites[1]
-            self._constant += float(sites[2].sum())
-        self._explain(blocks, H, h, local)
-
-    def _explain(self, blocks: Sequence[Block], H: np.ndarray, h: np.ndarray, local: Sequence[np.ndarray] = ()) -> None:
-        super().__init__(H, h, local=local)
-        self.blocks, self._used = tuple(blocks), dict[int, float]()
-        power = sum(float(b.y @ b.y) for b in blocks)
-        self.log_evidence = self._constant - 0.5 * (power - float(h @ self.z)) - self.root.log_det
+            constant += first.constant
+        for b, alone in zip(self.blocks, inside, strict=True):
+            own, met = b.own[alone], number[b.own[~alone]]
+            kept, found = b.eliminated(alone, 1.0 + self._sites[0, own])
+            h[b.own] += b.scores
+            H[np.ix_(met, met)] += kept
+            if local:
+                parts.append((own, found._replace(met=met[found.met])))
+        self._solve(Root(shared, H, parts), h)
+        power = sum(b.power for b in self.blocks)
+        self.log_evidence = constant - 0.5 * (power - float(h @ self.z)) - self.root.log_det
 
     @cached_property
-    def left(self) -> list[np.ndarray]:
-        """Per joint, whitened residual (m,)."""
-        return [b.y - b.explained(self.z[b.own]) for b in self.blocks]
+    def H(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The precision (P, P), prior included."""
+        H = np.diag(1.0 + self._sites[0])
+        for b in self.blocks:
+            H[np.ix_(b.own, b.own)] += b.gram
+        if self._first is not None:
+            k = len(self._first.shift)
+            H[:k, :k] += self._first.precision - np.eye(k)
+        return H
+
+    def left(self, joint: int) -> np.ndarray:
+        """Return the whitened residual (m,) of a joint."""
+        if joint not in self._left:
+            b = self.blocks[joint]
+            self._left[joint] = b.y - b.explained(self.z[b.own])
+        return self._left[joint]
 
     def log_density(self, blocks: Sequence[Block]) -> float:
         """Return the log density of other rows, conditional on the fitted ones, in units of their noise.
@@ -190,21 +212,27 @@ class Gaussian(Posterior):
         H, h = self.H.copy(), self.h.copy()
         for b in blocks:
             H[np.ix_(b.own, b.own)] += b.gram
-            h[b.own] += b.times(b.y)
+            h[b.own] += b.scores
         both = Posterior(H, h, local=[one.own for one in self.root.local])
-        power = sum(float(b.y @ b.y) for b in blocks)
+        power = sum(b.power for b in blocks)
         return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - (both.root.log_det - self.root.log_det)
 
     def among(self, kept: np.ndarray) -> Gaussian:
-        """Return the posterior of a model with only some of the coefficients."""
-        number = np.full(len(self.z), -1)
+        """Return the posterior of a model with only some of the coefficients; all others are zero."""
+        number, first = np.full(len(self.z), -1), self._first or Quadratic(np.zeros((0, 0)), np.zeros(0), 0.0)
         number[kept] = np.arange(len(kept))
         blocks = [b.some(number[b.own] >= 0, number[b.own]) for b in self.blocks]
-        one = copy(self)
-        one.__dict__.pop("left", None)
+        inside = kept[kept < len(first.shift)]
+        # At zero, a site is its constant.
+        constant = first.constant + float(np.delete(self._sites[2], kept).sum())
+        first = Quadratic(first.precision[np.ix_(inside, inside)], first.shift[inside], constant)
         local = [number[one.own][number[one.own] >= 0] for one in self.root.local]
-        one._explain(blocks, self.H[np.ix_(kept, kept)], self.h[kept], local)
-        return one
+        return Gaussian(blocks, len(kept), first, self._sites[:, kept], local)
+
+    def without(self, rows: Sequence[np.ndarray]) -> Gaussian:
+        """Return the posterior without some rows of each block, by their numbers (k,)."""
+        blocks = [b.without(own) for b, own in zip(self.blocks, rows, strict=True)]
+        return Gaussian(blocks, len(self.z), self._first, self._sites, [one.own for one in self.root.local])
 
     def used(self, joint: int) -> float:
         """Return the degrees of freedom that the fit takes from a joint's rows."""
@@ -223,14 +251,19 @@ class Gaussian(Posterior):
         power = float(np.mean(self.z[index] ** 2 + self.covariance(index).diagonal()))
         return math.sqrt(min(max(power, 1.0 / _STEP), _STEP))
 
-    def dispersion(self, joint: int, part: np.ndarray) -> float:
+    def dispersion(self, joint: int, part: np.ndarray, errors: np.ndarray | None = None) -> float:
         """Return the scatter of a joint's scores over parts of its rows, numbered (m,), divided by that of white rows.
 
         With scores g_b = X_b'e_b in coordinates in which X'X = 1, E[sum_b |g_b|^2] is the number of directions if rows
         are independent, and larger if errors are correlated: the ratio of the sandwich estimator (White, "Maximum
         Likelihood Estimation of Misspecified Models", Econometrica 1982).
+
+        Args:
+            joint: its index.
+            part: (m,) number of the part of each row, ascending.
+            errors: (m,) in place of the whitened residual.
         """
-        b, e = self.blocks[joint], self.left[joint]
+        b, e = self.blocks[joint], self.left(joint) if errors is None else errors
         if not len(e):
             return 1.0
         size = np.sqrt(np.maximum(b.gram.diagonal(), 1e-300))
@@ -253,7 +286,7 @@ class Gaussian(Posterior):
             b = self.blocks[joint]
             cross[b.own] += b.times(C.reshape(G * K, -1).T)
             own += C @ C.swapaxes(1, 2)
-            r += C @ self.left[joint]
+            r += C @ self.left(joint)
         V = self.half(cross).T.reshape(G, K, -1)
         return own - V @ V.swapaxes(1, 2), r
 

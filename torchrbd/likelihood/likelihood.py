@@ -13,7 +13,7 @@ import torch
 from torchrbd.likelihood.block import Block
 from torchrbd.likelihood.design import Bare, Design
 from torchrbd.likelihood.extra import Extra
-from torchrbd.likelihood.gaussian import Gaussian, nonnegative
+from torchrbd.likelihood.gaussian import Gaussian, Quadratic, nonnegative
 from torchrbd.likelihood.hyper import Hyper
 from torchrbd.likelihood.machine import Machine
 from torchrbd.likelihood.noise import Noise, learnt, tailed
@@ -45,7 +45,6 @@ class Likelihood:
 
     Attributes:
         index: per joint, the rows (m,) that are whitened.
-        gaussian: the posterior.
     """
 
     def __init__(
@@ -62,18 +61,33 @@ class Likelihood:
         self._first = n + np.cumsum([0, *(e.n for e in self.extra)])
         self._designs = [self._design(j, one) for j, one in enumerate(designs or none)]
         self.index = machine.index
-        whitened = [self._block(j, *one) for j, one in enumerate(zip(designs or none, blocks or none, strict=True))]
-        root = np.sqrt(hyper.kappa)
-        sites = np.zeros((3, int(self._first[-1])))
-        sites[:, machine.positive] = hyper.resists
-        self._bodies = expanded(root * hyper.bodies, hyper.kappa)
-        self.gaussian = Gaussian(whitened, sites.shape[1], self._bodies, sites, self._local)
+        self._known = list(zip(designs or none, blocks or none, strict=True))
         self._residuals = dict[int, np.ndarray]()
+
+    @cached_property
+    def _bodies(self) -> Quadratic:
+        """Log prior density of the bodies' coordinates, expanded."""
+        return expanded(np.sqrt(self.hyper.kappa) * self.hyper.bodies, self.hyper.kappa)
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """Per joint, the whitened rows."""
+        known, self._known = self._known, []
+        return [self._block(j, *one) for j, one in enumerate(known)]
+
+    @cached_property
+    def gaussian(self) -> Gaussian:
+        """The posterior."""
+        sites = np.zeros((3, int(self._first[-1])))
+        sites[:, self.machine.positive] = self.hyper.resists
+        return Gaussian(self.blocks, sites.shape[1], self._bodies, sites, self._local)
 
     def _design(self, joint: int, known: Design | None) -> Design:
         extras = [(int(k), e) for k, e in zip(self._first, self.extra, strict=False) if joint in e.joints]
         if known is not None and known.has(extras):
             return known
+        if known is not None and (same := known.places(extras, joint)) is not None:
+            return known.some(extras, *same)
         target, parts = self.machine.target[joint], (joint, self.hyper, self._along)
         one = Design.of(known.bare if known else Bare.of(*self.machine.design(*parts), target), extras, joint)
         return one.sized(self._sizes(joint, one, self.hyper))
@@ -85,8 +99,11 @@ class Likelihood:
 
     def _block(self, joint: int, known: Design | None, block: Block | None) -> Block:
         one = self._designs[joint]
-        if block is not None and one is known:
-            return block
+        if block is not None and known is not None:
+            if one is known:
+                return block
+            if one.bare is known.bare and (same := known.places(one.extras, joint)) is not None:
+                return block.some(*same)
         return one.white(self.hyper.noise[joint], None if block is None else block.bare)
 
     @property
@@ -205,7 +222,7 @@ class Likelihood:
         hold = self.hyper.held.copy()
         for j in joints:
             hold[j] = self._expected(hold[j], self.machine.rests.holding(j), j)
-        return self.with_(hold=hold)
+        return self if np.array_equal(hold, self.hyper.hold) else self.with_(hold=hold)
 
     def _expected(self, size: float, coefficients: np.ndarray, joint: int) -> float:
         """Return the expected size [N m or N] of coefficients, given the fit with a prior of another size."""
@@ -239,7 +256,7 @@ class Likelihood:
         for j, plain in normal.items():
             n, index = noise[j], self.index[j]
             free = max(1.0 - self.gaussian.used(j) / len(index), _LEAST_FREEDOM)
-            own = self.gaussian.left[j] * n.scatter[index] / n.spread[index]
+            own = self.gaussian.left(j) * n.scatter[index] / n.spread[index]
             size, tail = tailed(own, index, self.machine.rows.block, normal=plain)
             noise[j] = replace(n, sigma=n.sigma * size * math.sqrt(self.hyper.dispersion[j] / free), tail=tail)
         return self._resized(noise, self.hyper.dispersion)
@@ -257,7 +274,7 @@ class Likelihood:
         """Return the same model with other noise levels, tails and dispersion (n,)."""
         least = _LEAST_NOISE * self.machine.torque_rms
         noise = [replace(n, sigma=max(n.sigma, float(least[j]))) for j, n in enumerate(noise)]
-        each = zip(self.gaussian.blocks, noise, self.hyper.noise, strict=True)
+        each = zip(self.blocks, noise, self.hyper.noise, strict=True)
         blocks = [b.louder(new.sigma / old.sigma) if new.tail is old.tail else None for b, new, old in each]
         hyper = self.hyper.with_(noise=tuple(noise), dispersion=dispersion)
         return Likelihood(self.machine, hyper, self.extra, self._along, self._designs, blocks)
@@ -377,12 +394,12 @@ class Likelihood:
         by = np.ones(len(self.gaussian.z))
         for k, ratio in ratios.items():
             by[self.further(k)] = ratio
-        extra = tuple(replace(e, std=e.std * ratios.get(k, 1.0)) for k, e in enumerate(self.extra))
+        extra = tuple(replace(e, std=e.std * ratios[k]) if k in ratios else e for k, e in enumerate(self.extra))
         new = dict(zip(self._first.tolist(), extra, strict=False))
         designs = [
             replace(d, extras=[(at, new[at]) for at, _ in d.extras]).sized(d.size * by[d.own]) for d in self._designs
         ]
-        blocks = [b.sized(by[b.own]) for b in self.gaussian.blocks]
+        blocks = [b.sized(by[b.own]) for b in self.blocks]
         return Likelihood(self.machine, self.hyper, extra, self._along, designs, blocks)
 
     def of_machine(self, machine: Machine) -> Likelihood:
@@ -391,7 +408,13 @@ class Likelihood:
 
     def extended(self, extra: Sequence[Extra]) -> Likelihood:
         """Return the same model with other additional columns."""
-        return Likelihood(self.machine, self.hyper, extra, self._along, self._designs, self.gaussian.blocks)
+        return Likelihood(self.machine, self.hyper, extra, self._along, self._designs, self.blocks)
+
+    @cached_property
+    def bare(self) -> Likelihood:
+        """The machine alone, with the same hyperparameters, but friction may have any sign."""
+        hyper = self.hyper.with_(resists=np.zeros_like(self.hyper.resists))
+        return Likelihood(self.machine, hyper, (), self._along, self._designs, self.blocks)
 
     def with_(self, **changes: object) -> Likelihood:
         """Return the same model with some hyperparameters changed, see ``Hyper``."""
@@ -402,7 +425,7 @@ class Likelihood:
         same &= hyper.rest_width == self.hyper.rest_width
         alike = [one is other for one, other in zip(hyper.noise, self.hyper.noise, strict=True)]
         designs = [one if kept else None for one, kept in zip(self._designs, same, strict=True)]
-        blocks = [one if kept else None for one, kept in zip(self.gaussian.blocks, same & alike, strict=True)]
+        blocks = [one if kept else None for one, kept in zip(self.blocks, same & alike, strict=True)]
         if changes.keys() & _OF_SIZES:
             for j, (design, block) in enumerate(zip(designs, blocks, strict=True)):
                 size = None if design is None else self._sizes(j, design, hyper)

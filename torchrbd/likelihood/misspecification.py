@@ -116,7 +116,7 @@ class TwoEstimates:
         Kw, Ko = self._Hw[index], self._Ho[index]
         V, C = (Ko - Kw) @ self._P @ (Ko - Kw).T, Ko @ self._P @ Ko.T
         for j, scale in self._scales.items():
-            block, noise, index = self._fit.gaussian.blocks[j], self._fit.hyper.noise[j], self._fit.index[j]
+            block, noise, index = self._fit.blocks[j], self._fit.hyper.noise[j], self._fit.index[j]
             U = self._fit.explained(j, Ko[:, block.own]) * scale**2
             memory, before = remembered(U, noise, self._fit.machine.rows.run)
             ordinary, early = memory[:, index], before + _left(memory, index)

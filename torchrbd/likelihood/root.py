@@ -26,6 +26,29 @@ class Local(NamedTuple):
     met: np.ndarray
 
 
+class Eliminated(NamedTuple):
+    """Some coefficients that are eliminated: L_j (k, k), X_j (k, m), X_j'X_j (m, m), and ``met`` (m,), see ``Root``."""
+
+    L: np.ndarray
+    X: np.ndarray
+    lost: np.ndarray
+    met: np.ndarray
+
+
+def eliminate(
+    own: np.ndarray, across: np.ndarray, prior: np.ndarray | float = 0.0, rounding: float = ROUNDING
+) -> Eliminated:
+    """Eliminate coefficients with precision ``own`` (k, k) + prior (k,) and products ``across`` (k, s) with others.
+
+    Raises:
+        LinAlgError: the precision is not positive definite.
+    """
+    L = np.linalg.cholesky(_raised(own, prior, rounding))
+    met = np.flatnonzero(across.any(axis=0))
+    X = forwards(L, across[:, met])
+    return Eliminated(L, X, X.T @ X, met)
+
+
 class Root:
     """A root F of a precision H = F F' (P, P), with no products between its ``local`` groups of coefficients.
 
@@ -38,27 +61,41 @@ class Root:
     X_j is stored where it is not zero: a joint shares the bodies that it moves. Without groups F is Cholesky's factor.
 
     Args:
-        H: (P, P) precision.
-        local: indices of each group; all others are shared.
+        shared: indices of the coefficients in no group.
+        H: (S, S) their precision.
+        local: indices of each group, and what eliminates it. A group's ``met`` count among the shared ones.
         rounding: fraction of its diagonal that is added to H.
 
     Raises:
         LinAlgError: H is not positive definite.
     """
 
-    def __init__(self, H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = ROUNDING) -> None:
-        shared = np.ones(len(H), dtype=bool)
-        for own in local:
-            shared[own] = False
-        self.shared = np.flatnonzero(shared)
-        self.left, self.local = _raised(H, self.shared, rounding), []
-        for own in local:
-            L, across = np.linalg.cholesky(_raised(H, own, rounding)), H[np.ix_(own, self.shared)]
-            met = np.flatnonzero(across.any(axis=0))
-            X = forwards(L, across[:, met])
-            self.left[np.ix_(met, met)] -= X.T @ X
-            self.local.append(Local(own, L, X, met))
+    def __init__(
+        self,
+        shared: np.ndarray,
+        H: np.ndarray,
+        local: Sequence[tuple[np.ndarray, Eliminated]] = (),
+        rounding: float = ROUNDING,
+    ) -> None:
+        self.shared, self.left = shared, _raised(H, 0.0, rounding)
+        self.local = [Local(own, one.L, one.X, one.met) for own, one in local]
+        for _, one in local:
+            self.left[np.ix_(one.met, one.met)] -= one.lost
         self.L = np.linalg.cholesky(self.left)
+
+    @staticmethod
+    def of(H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = ROUNDING) -> Root:
+        """Return the root of a precision (P, P), given the indices of each group.
+
+        Raises:
+            LinAlgError: H is not positive definite.
+        """
+        outside = np.ones(len(H), dtype=bool)
+        for own in local:
+            outside[own] = False
+        shared = np.flatnonzero(outside)
+        parts = [(own, eliminate(H[np.ix_(own, own)], H[np.ix_(own, shared)], 0.0, rounding)) for own in local]
+        return Root(shared, H[np.ix_(shared, shared)], parts, rounding)
 
     @property
     def log_det(self) -> float:
@@ -116,10 +153,10 @@ class Root:
         return found + V.T @ V
 
 
-def _raised(H: np.ndarray, own: np.ndarray, rounding: float) -> np.ndarray:
-    """Return a part of a precision with a raised diagonal: without noise, rounding would dominate weak directions."""
-    part = H[np.ix_(own, own)]
-    at = np.diag_indices_from(part)
+def _raised(H: np.ndarray, prior: np.ndarray | float, rounding: float) -> np.ndarray:
+    """Return a precision with a raised diagonal: without noise, rounding would dominate weak directions."""
+    part, at = H.copy(), np.diag_indices_from(H)
+    part[at] += prior
     part[at] += rounding * np.maximum(part[at], _LEAST_PRECISION)
     return part
 
