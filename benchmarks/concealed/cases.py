@@ -39,12 +39,14 @@ class Case:
         urdf: what the tool is given.
         recordings: by file name.
         truth: for the scorer.
+        mapping: the file that states the robot's drives; empty if torques are recorded.
     """
 
     id: str
     urdf: str
     recordings: dict[str, pa.Table]
     truth: dict[str, Any]
+    mapping: str = ""
 
 
 @dataclass(frozen=True)

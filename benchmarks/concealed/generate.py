@@ -32,6 +32,8 @@ def write_case(
     folder.mkdir(parents=True, exist_ok=True)
     truth.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(case.urdf)
+    if case.mapping:
+        (folder / "mapping.yaml").write_text(case.mapping)
     for file, table in case.recordings.items():
         pq.write_table(table, folder / file, compression="zstd")
     # Last, so that a case with a truth is complete.

@@ -70,9 +70,10 @@ def diagnose_case(case: Path, out: Path) -> None:
         out: folder of its outputs.
     """
     fit, holdout = recordings(case)
-    start, told = time.perf_counter(), {}
+    start, told, mapping = time.perf_counter(), {}, case / "mapping.yaml"
     try:
-        diagnosis, failure = torchrbd.diagnose(case / "robot.urdf", fit, holdout=holdout), ""
+        stated = mapping if mapping.exists() else None
+        diagnosis, failure = torchrbd.diagnose(case / "robot.urdf", fit, holdout=holdout, mapping=stated), ""
     except Exception as error:
         # A case that ends in an error is an outcome to be counted, not a reason to stop.
         diagnosis, failure = None, f"{type(error).__name__}: {error}"

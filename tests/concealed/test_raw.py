@@ -131,7 +131,7 @@ def test_sensors_add_what_they_are_drawn_to_add() -> None:
     sensors = Sensors(size, np.array([0.008, 0.03]), 0.008, True, np.zeros(2))
     noise = (sensors.torque(rng, t, true) - true) / size
     assert np.sqrt(np.mean(noise**2, axis=0)) == pytest.approx(np.full(2, np.hypot(NOISE, 0.008)), rel=0.15)
-    table = recording(["a", "b"], t, true, true)
+    table = recording(["a", "b"], t, true, "tau", true)
     ticks = table["q_a"].to_numpy() / (2 * np.pi / 2**15)
     assert np.abs(ticks - np.round(ticks)).max() < 1e-6
     assert table.column_names == ["t", "q_a", "q_b", "tau_a", "tau_b"]

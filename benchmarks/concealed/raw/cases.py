@@ -17,7 +17,7 @@ from .draws import KINDS, NULLS, WHOLE, draw_effect, largest, small
 from .laws import Effect, Motion
 from .motion import Way, draw_way
 from .plant import STEP, Controller, Friction, Track, simulate
-from .sensing import RATE_HZ, Sensors, recording
+from .sensing import RATE_HZ, Drives, Sensors, recording
 from .truth import describe
 
 TIER = "raw"
@@ -38,10 +38,12 @@ class Options:
     Attributes:
         sizes: of effects, in parts of their joint's raw torque; they take turns from round to round.
         inertials: how far those of the URDF are off.
+        drives: record set-points in place of torques; all else is the same.
     """
 
     sizes: Sequence[float] = (0.08,)
     inertials: float = 0.2
+    drives: bool = False
 
 
 def kind_of(index: int, seed: int, of: str) -> tuple[str | None, int]:
@@ -59,19 +61,19 @@ def make_case(of: str, index: int, seed: int, options: Options = Options()) -> C
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, SETS.index(of), 4711, index, attempt])
         try:
-            case = _draw(rng, of, kind, size, options.inertials)
+            case = _draw(rng, of, kind, size, options)
         except Refused as refusal:
             refused.append(str(refusal))
             continue
         name = f"{np.random.default_rng([seed, SETS.index(of), 4711, index, 777]).integers(16**10):010x}"
         own = {"schema": 1, "id": name, "set": of, "tier": TIER, "seed": seed, "index": index, "refused": refused}
-        return Case(name, case.urdf, case.recordings, own | case.truth)
+        return Case(name, case.urdf, case.recordings, own | case.truth, case.mapping)
     raise RuntimeError(f"{of} {TIER} {index} of seed {seed}: all {_ATTEMPTS} draws refused, e.g. {refused[-1]}")
 
 
-def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, inertials: float) -> Case:
+def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, options: Options) -> Case:
     robot = draw_arm(rng, of)
-    urdf = with_wrong_inertials(rng, robot, inertials)
+    urdf = with_wrong_inertials(rng, robot, options.inertials)
     way = draw_way(rng, robot, FIT_S, 1 / STEP)
     later = draw_way(rng, robot, float(rng.uniform(*HOLDOUT_S)), 1 / STEP)
     friction, x = _friction(rng, robot, way)
@@ -87,10 +89,15 @@ def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, iner
     held = None if effect is None or effect.window else effect
     holdout = simulate(robot, friction, held, later, controller)
     sensors = Sensors.draw(rng, track.tau[::EVERY])
+    drives = Drives.draw(rng.spawn(1)[0], track.tau[::EVERY]) if options.drives else None
     recordings = {}
     for file, one in (("fit_1.parquet", track), ("holdout.parquet", holdout)):
         t, q, tau = one.x.t[::EVERY], one.q[::EVERY], one.tau[::EVERY]
-        recordings[file] = recording(robot.joints, t, q, sensors.torque(rng, t, tau))
+        measured = sensors.torque(rng, t, tau)
+        channel, values = (
+            ("tau", measured) if drives is None else ("q_ref", drives.set_points(q, one.x.v[::EVERY], tau))
+        )
+        recordings[file] = recording(robot.joints, t, q, channel, values)
     seen, shares = None, None
     if effect is not None:
         x = sampled(robot, track)
@@ -102,8 +109,9 @@ def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, iner
             raise Refused(f"{effect.id} is hidden by other inertials and friction")
         shares = share(effect, x.t, added, track.tau[::EVERY])
     styles = {"fit_1.parquet": (way.style, FIT_S), "holdout.parquet": (later.style, float(len(later.t) * STEP))}
-    facts = {"robot": robot, "inertials": inertials, "sensors": sensors, "friction": friction, "size": size}
-    return Case("", urdf.urdf, recordings, describe(facts, styles, effect, shares, seen, sampled(robot, track)))
+    facts = {"robot": robot, "inertials": options.inertials, "sensors": sensors, "friction": friction, "size": size}
+    truth = describe(facts, styles, effect, shares, seen, sampled(robot, track))
+    return Case("", urdf.urdf, recordings, truth, "" if drives is None else drives.mapping(robot.joints))
 
 
 def sampled(robot: Robot, track: Track) -> Motion:

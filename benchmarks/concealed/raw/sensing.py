@@ -1,4 +1,7 @@
-"""What a recorder makes of a simulation: 125 Hz, 15 bits a turn, torque with coloured noise, drift, perhaps steps."""
+"""What a recorder makes of a simulation: 125 Hz, 15 bits a turn, torque with coloured noise, drift, perhaps steps.
+
+Robots without torque sensors record set-points of their drives in place of the torque.
+"""
 
 from __future__ import annotations
 
@@ -66,10 +69,43 @@ class Sensors:
         return walk / np.sqrt(np.mean(walk**2, axis=0))
 
 
-def recording(joints: Sequence[str], t: np.ndarray, q: np.ndarray, tau: np.ndarray) -> pa.Table:
-    """Return t, q_<joint> in steps of the encoder, tau_<joint>."""
+@dataclass(frozen=True)
+class Drives:
+    """Drives that made the torques of a robot: tau(t) = kp (q_ref(t - delay) - q(t)) - kd qd(t).
+
+    Attributes:
+        kp, kd: (n,) [N m/rad], [N m s/rad].
+        delay: of the set-points, in samples.
+    """
+
+    kp: np.ndarray
+    kd: np.ndarray
+    delay: int
+
+    @staticmethod
+    def draw(rng: np.random.Generator, tau: np.ndarray) -> Drives:
+        """Draw the drives of a robot that takes torques (N, n): they give way by 5 to 30 mrad, and 0 to 4 samples."""
+        kp = np.sqrt(np.mean(tau**2, axis=0)) / rng.uniform(0.005, 0.03, tau.shape[1])
+        return Drives(kp, kp * rng.uniform(0.02, 0.08, tau.shape[1]), int(rng.integers(5)))
+
+    def set_points(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Return the set-points (N, n) that were recorded while the drives made torques tau (N, n)."""
+        felt = q + (tau + self.kd * qd) / self.kp
+        return np.concatenate((felt[self.delay :], np.repeat(felt[-1:], self.delay, axis=0)))
+
+    def mapping(self, joints: Sequence[str]) -> str:
+        """Return the mapping file that states them."""
+        each = [
+            f"  {name}: {{drive: {{kp: {kp:.6g}, kd: {kd:.6g}}}}}"
+            for name, kp, kd in zip(joints, self.kp, self.kd, strict=True)
+        ]
+        return "\n".join((f"set_point_delay: {self.delay / RATE_HZ:.6g}", "joints:", *each, ""))
+
+
+def recording(joints: Sequence[str], t: np.ndarray, q: np.ndarray, channel: str, values: np.ndarray) -> pa.Table:
+    """Return t, q_<joint> in steps of the encoder, and another channel (N, n): tau_<joint>, q_ref_<joint>."""
     tick = 2 * np.pi / 2**BITS
     columns = {"t": t}
     columns |= {f"q_{name}": np.round(q[:, k] / tick) * tick for k, name in enumerate(joints)}
-    columns |= {f"tau_{name}": tau[:, k] for k, name in enumerate(joints)}
+    columns |= {f"{channel}_{name}": values[:, k] for k, name in enumerate(joints)}
     return pa.table(columns)
