@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 from concealed.raw import bodies, cases, classes, draws, rank, score
 from concealed.raw.arms import OWN, PUBLIC, own_arm, public_arm, with_wrong_inertials
 from concealed.raw.laws import Effect
 from concealed.raw.motion import draw_way
 from concealed.raw.plant import STEP, Controller, simulate
-from concealed.raw.sensing import NOISE, Sensors, recording
+from concealed.raw.sensing import NOISE, Drives, Sensors, recording
 from concealed.robots import Robot
 
 SECONDS = 2.5
@@ -135,6 +136,18 @@ def test_sensors_add_what_they_are_drawn_to_add() -> None:
     ticks = table["q_a"].to_numpy() / (2 * np.pi / 2**15)
     assert np.abs(ticks - np.round(ticks)).max() < 1e-6
     assert table.column_names == ["t", "q_a", "q_b", "tau_a", "tau_b"]
+
+
+def test_drives_make_the_torque_of_their_late_set_points() -> None:
+    t = np.arange(1250)[:, None] / 125
+    q, qd, tau = np.sin(t * [0.7, 1.3]), np.cos(t * [0.7, 1.3]) * [0.7, 1.3], 4.0 * np.cos(t * [1.1, 0.4])
+    drives = Drives.draw(np.random.default_rng(3), tau)
+    late = np.roll(drives.set_points(q, qd, tau), drives.delay, axis=0)
+    inside = slice(drives.delay, None)
+    np.testing.assert_allclose((drives.kp * (late - q) - drives.kd * qd)[inside], tau[inside], atol=1e-10)
+    stated = yaml.safe_load(drives.mapping(["a", "b"]))
+    assert stated["set_point_delay"] == pytest.approx(drives.delay / 125)
+    assert [stated["joints"][j]["drive"]["kp"] for j in "ab"] == pytest.approx(drives.kp, rel=1e-5)
 
 
 def test_class_holds_what_is_the_same_and_not_what_differs(bench: Bench) -> None:

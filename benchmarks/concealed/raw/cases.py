@@ -93,10 +93,9 @@ def _draw(rng: np.random.Generator, of: str, kind: str | None, size: float, opti
     recordings = {}
     for file, one in (("fit_1.parquet", track), ("holdout.parquet", holdout)):
         t, q, tau = one.x.t[::EVERY], one.q[::EVERY], one.tau[::EVERY]
-        measured = sensors.torque(rng, t, tau)
-        channel, values = (
-            ("tau", measured) if drives is None else ("q_ref", drives.set_points(q, one.x.v[::EVERY], tau))
-        )
+        channel, values = "tau", sensors.torque(rng, t, tau)
+        if drives is not None:
+            channel, values = "q_ref", drives.set_points(q, one.x.v[::EVERY], tau)
         recordings[file] = recording(robot.joints, t, q, channel, values)
     seen, shares = None, None
     if effect is not None:
