@@ -138,6 +138,16 @@ def unknown_gains() -> str:
 
 
 @table
+def simulated_drives() -> str:
+    keys = "named or in class", "cases with a false finding", "95 % intervals that hold the truth"
+    rows = []
+    for way, one in results("simulated_drives").items():
+        counts = [f"{round(one[key]['value'] * one[key]['of'])} of {one[key]['of']}" for key in keys]
+        rows.append([way, *counts])
+    return markdown(["diagnosed from", "named or in class", "robots with a false finding", keys[2]], rows)
+
+
+@table
 def real_joints() -> str:
     rows = []
     each = ((one, model) for one in results("real_robots").values() for model in BASELINES if model in one["nmse"])
