@@ -58,7 +58,9 @@ class Block:
     level: float = 1.0
     bare: Block | None = None
     _moments: list[Moments] = field(default_factory=list, repr=False)
-    _eliminated: list[tuple[np.ndarray, np.ndarray, Eliminated]] = field(default_factory=list, init=False, repr=False)
+    _eliminated: list[tuple[np.ndarray, np.ndarray, np.ndarray, Eliminated]] = field(
+        default_factory=list, init=False, repr=False
+    )
 
     @property
     def X(self) -> np.ndarray:
@@ -112,11 +114,12 @@ class Block:
             alone: (P_j,) bool, the columns whose coefficients only this block has.
             precision: (k,) of their prior.
         """
-        if not self._eliminated or not np.array_equal(self._eliminated[0][0], precision):
+        known = self._eliminated[0][:2] if self._eliminated else ()
+        if not known or not (np.array_equal(known[0], alone) and np.array_equal(known[1], precision)):
             own, shared = np.flatnonzero(alone), np.flatnonzero(~alone)
             found = eliminate(self.gram[np.ix_(own, own)], self.gram[np.ix_(own, shared)], precision)
-            self._eliminated[:] = [(precision, self.gram[np.ix_(shared, shared)], found)]
-        return self._eliminated[0][1:]
+            self._eliminated[:] = [(alone, precision, self.gram[np.ix_(shared, shared)], found)]
+        return self._eliminated[0][2:]
 
     def of_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return some of the rows, by their numbers (...), as (P_j, ...)."""
