@@ -25,7 +25,7 @@ from benchmarks.concealed.raw import cases
 from benchmarks.concealed.run import DIAGNOSIS, SECONDS, diagnose_case, for_each_case
 from benchmarks.concealed.score import CaseScore, score_case
 
-# What a drive can show: not errors of a torque sensor, nor bodies, which the scale of set-points does not change.
+# Effects of one joint. Errors of a torque sensor do not exist here; the other kinds are left out to keep the run short.
 KINDS = (
     "stribeck_friction",
     "load_dependent_friction",

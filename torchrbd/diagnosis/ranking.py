@@ -147,12 +147,12 @@ def run_search(reading: Reading, settings: Settings, kept_back: KeptBack, progre
     band = settings.cutoff_hz or band_hz(surveys, reading.filtering.low_pass)
 
     def report(part: float, terms: int) -> None:
-        progress(f"searching, {terms} effects in the model", part)
+        progress(f"searching, effects so far: {terms}", part)
 
     try:
         clocks = in_band(reading, band, kept_back, frozenset(settings.held_bodies(robot)), progress)
         fit = clocks.fit
-        progress("learning the noise, with curves for what the model lacks", 0.0)
+        progress("learning the noise and residual curves", 0.0)
         found = search_effects(fit, effects, report)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in reading.recordings)

@@ -157,7 +157,7 @@ class Block:
         return along(z * self.size, self.lasting, self.brief)
 
     @cached_property
-    def of_machine(self) -> Block:
+    def of_bare(self) -> Block:
         """The columns of its ``bare`` block alone, with their sizes here."""
         assert self.bare is not None
         first = len(self.own) - len(self.bare.own)
@@ -172,7 +172,7 @@ class Block:
         first, size = len(self.lasting), np.broadcast_to(self.size, len(kept))[kept]
         bare = self.bare if self.bare is not None and kept[-len(self.bare.own) :].all() else None
         if bare is not None and kept.sum() == len(bare.own):
-            return self.of_machine
+            return self.of_bare
         brief = self.brief if self.brief is None or kept[first:].all() else self.brief.some(kept[first:])
         known = [one.some(kept) for one in self._moments]
         return Block(self.lasting[kept[:first]], self.target, own[kept], brief, size, self.level, bare, known)

@@ -67,7 +67,6 @@ class Posterior:
         H: (P, P) precision.
         h: (P,) shift.
         rounding: fraction of its diagonal that is added to H.
-        local: groups of coefficients without products between groups, see ``Root.of``.
 
     Attributes:
         root: of the precision.
@@ -77,10 +76,8 @@ class Posterior:
         LinAlgError: H is not positive definite.
     """
 
-    def __init__(
-        self, H: np.ndarray, h: np.ndarray, rounding: float = ROUNDING, local: Sequence[np.ndarray] = ()
-    ) -> None:
-        self._solve(Root.of(H, local, rounding), h)
+    def __init__(self, H: np.ndarray, h: np.ndarray, rounding: float = ROUNDING) -> None:
+        self._solve(Root(np.arange(len(H)), H, rounding=rounding), h)
         self.H = H
 
     def _solve(self, root: Root, h: np.ndarray) -> None:
@@ -203,19 +200,6 @@ class Gaussian(Posterior):
             b = self.blocks[joint]
             self._left[joint] = b.y - b.explained(self.z[b.own])
         return self._left[joint]
-
-    def log_density(self, blocks: Sequence[Block]) -> float:
-        """Return the log density of other rows, conditional on the fitted ones, in units of their noise.
-
-        log p(y' | y) = log p(y', y) - log p(y),   H' = H + X'X
-        """
-        H, h = self.H.copy(), self.h.copy()
-        for b in blocks:
-            H[np.ix_(b.own, b.own)] += b.gram
-            h[b.own] += b.scores
-        both = Posterior(H, h, local=[one.own for one in self.root.local])
-        power = sum(b.power for b in blocks)
-        return 0.5 * (float(h @ both.z - self.h @ self.z) - power) - (both.root.log_det - self.root.log_det)
 
     def among(self, kept: np.ndarray) -> Gaussian:
         """Return the posterior of a model with only some of the coefficients; all others are zero."""

@@ -35,15 +35,13 @@ class Eliminated(NamedTuple):
     met: np.ndarray
 
 
-def eliminate(
-    own: np.ndarray, across: np.ndarray, prior: np.ndarray | float = 0.0, rounding: float = ROUNDING
-) -> Eliminated:
+def eliminate(own: np.ndarray, across: np.ndarray, prior: np.ndarray) -> Eliminated:
     """Eliminate coefficients with precision ``own`` (k, k) + prior (k,) and products ``across`` (k, s) with others.
 
     Raises:
         LinAlgError: the precision is not positive definite.
     """
-    L = np.linalg.cholesky(_raised(own, prior, rounding))
+    L = np.linalg.cholesky(_raised(own, prior, ROUNDING))
     met = np.flatnonzero(across.any(axis=0))
     X = forwards(L, across[:, met])
     return Eliminated(L, X, X.T @ X, met)
@@ -82,20 +80,6 @@ class Root:
         for _, one in local:
             self.left[np.ix_(one.met, one.met)] -= one.lost
         self.L = np.linalg.cholesky(self.left)
-
-    @staticmethod
-    def of(H: np.ndarray, local: Sequence[np.ndarray] = (), rounding: float = ROUNDING) -> Root:
-        """Return the root of a precision (P, P), given the indices of each group.
-
-        Raises:
-            LinAlgError: H is not positive definite.
-        """
-        outside = np.ones(len(H), dtype=bool)
-        for own in local:
-            outside[own] = False
-        shared = np.flatnonzero(outside)
-        parts = [(own, eliminate(H[np.ix_(own, own)], H[np.ix_(own, shared)], 0.0, rounding)) for own in local]
-        return Root(shared, H[np.ix_(shared, shared)], parts, rounding)
 
     @property
     def log_det(self) -> float:
